@@ -1,0 +1,2 @@
+//! The ksim command.
+fn main() {}
