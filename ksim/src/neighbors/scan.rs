@@ -1,0 +1,172 @@
+//! The first pass of `blocked` and `clusters`: single-precision distances of many queries to many
+//! rows, with a bound on their error, so that only rows that can matter are ranked in f64.
+//!
+//! With x̂ and q̂ the values rounded to f32 and u = 2⁻²⁴, the difference vector is off by at most
+//! e = u(‖x‖ + ‖q‖) in L2, and its squared length D̂, summed over w columns in f32, by at most a
+//! factor 1 ± (w + 4)u. Hence a row at true distance d has D̂ ≤ (d + e)²(1 + (w + 4)u), and
+//! d ≤ √(D̂(1 + (w + 4)u)) + e. If t is the n-th smallest D̂ so far, n rows lie within the latter
+//! of t, so no row beyond `Bound::widen(t)`, the former applied to the latter, can be among the n
+//! nearest. Both are widened once more to cover the rounding of the bounds themselves.
+
+use std::ops::Range;
+
+use pulp::{Arch, Simd, WithSimd};
+
+use super::{Neighbor, rank};
+use crate::matrix::Matrix;
+use crate::tiles::{RowSet, TILE_ROWS, new_tile, pack, squared_distances};
+
+/// Queries that one task carries over the rows.
+pub(super) const BATCH_QUERIES: usize = 256;
+
+/// One query on its way over the rows.
+#[derive(Debug)]
+pub(super) struct Query<'a> {
+    pub(super) values: &'a [f64],
+    pub(super) excluded: Range<usize>,
+}
+
+/// The `n` nearest rows of `rows` for each query.
+pub(super) fn nearest(
+    data: &Matrix,
+    rows: RowSet<'_>,
+    queries: &[Query<'_>],
+    n: usize,
+    max_norm: f64,
+) -> Vec<Vec<Neighbor>> {
+    let mut states: Vec<State> =
+        queries.iter().map(|query| State::new(query, n, max_norm)).collect();
+    Arch::new().dispatch(Scan { data, rows, queries: &mut states });
+    states
+        .into_iter()
+        .zip(queries)
+        .map(|(state, query)| {
+            let survivors = state.into_survivors().into_iter().map(|(_, row)| row);
+            rank(data, query.values, survivors, n)
+        })
+        .collect()
+}
+
+/// The largest L2 norm of any row, for the error bound.
+pub(super) fn max_norm(data: &Matrix) -> f64 {
+    use rayon::prelude::*;
+    let origin = vec![0.0; data.n_features()];
+    (0..data.n_rows())
+        .into_par_iter()
+        .map(|row| data.squared_distance(row, &origin))
+        .reduce(|| 0.0, f64::max)
+        .sqrt()
+}
+
+/// Error bound of the f32 distances of one query.
+#[derive(Debug, Clone, Copy)]
+struct Bound {
+    /// e of the module's text.
+    rounding: f64,
+    /// 1 + (w + 4)u, with room for the rounding of this very arithmetic.
+    factor: f64,
+}
+
+impl Bound {
+    fn new(query: &[f64], max_norm: f64) -> Self {
+        let unit = f64::from(f32::EPSILON) / 2.0;
+        let norm = query.iter().map(|v| v * v).sum::<f64>().sqrt();
+        Self {
+            rounding: unit * (max_norm + norm) * 1.001 + f64::from(f32::MIN_POSITIVE),
+            factor: 1.0 + (query.len() as f64 + 8.0) * unit,
+        }
+    }
+
+    /// The largest f32 squared distance that a row no farther than the one behind `squared` can
+    /// show.
+    fn widen(&self, squared: f32) -> f32 {
+        let farthest = (f64::from(squared) * self.factor).sqrt() + self.rounding;
+        let shown = (farthest + self.rounding).powi(2) * self.factor;
+        (shown as f32).next_up()
+    }
+}
+
+#[derive(Debug)]
+struct State {
+    values: Vec<f32>,
+    excluded: Range<usize>,
+    n: usize,
+    bound: Bound,
+    /// Rows with a larger f32 squared distance cannot matter.
+    threshold: f32,
+    survivors: Vec<(f32, u32)>,
+}
+
+impl State {
+    fn new(query: &Query<'_>, n: usize, max_norm: f64) -> Self {
+        Self {
+            values: query.values.iter().map(|&v| v as f32).collect(),
+            excluded: query.excluded.clone(),
+            n,
+            bound: Bound::new(query.values, max_norm),
+            threshold: f32::INFINITY,
+            survivors: Vec::new(),
+        }
+    }
+
+    fn push(&mut self, squared: f32, row: u32) {
+        if self.excluded.contains(&(row as usize)) {
+            return;
+        }
+        self.survivors.push((squared, row));
+        if self.survivors.len() >= 4 * self.n + TILE_ROWS {
+            self.compact();
+        }
+    }
+
+    /// Lowers the threshold to what the n-th best so far allows, and drops what lies beyond.
+    fn compact(&mut self) {
+        if self.survivors.len() <= self.n {
+            return;
+        }
+        let by_distance = |a: &(f32, u32), b: &(f32, u32)| a.0.total_cmp(&b.0);
+        let (_, nth, _) = self.survivors.select_nth_unstable_by(self.n - 1, by_distance);
+        self.threshold = self.threshold.min(self.bound.widen(nth.0));
+        let threshold = self.threshold;
+        self.survivors.retain(|(squared, _)| *squared <= threshold);
+    }
+
+    fn into_survivors(mut self) -> Vec<(f32, u32)> {
+        self.compact();
+        self.survivors
+    }
+}
+
+/// The vectorised part: tiles of rows, packed column by column, against every query.
+struct Scan<'a> {
+    data: &'a Matrix,
+    rows: RowSet<'a>,
+    queries: &'a mut [State],
+}
+
+impl WithSimd for Scan<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let mut tile = new_tile(self.data.n_features());
+        let mut squared = [0.0f32; TILE_ROWS];
+        let mut start = 0;
+        while start < self.rows.len() {
+            let count = TILE_ROWS.min(self.rows.len() - start);
+            pack(self.data, self.rows, start, count, &mut tile);
+            for query in self.queries.iter_mut() {
+                let threshold = query.threshold;
+                if !squared_distances(simd, &tile, &query.values, threshold, &mut squared) {
+                    continue;
+                }
+                for (at, &value) in squared[..count].iter().enumerate() {
+                    if value <= query.threshold {
+                        query.push(value, self.rows.row(start + at));
+                    }
+                }
+            }
+            start += count;
+        }
+    }
+}

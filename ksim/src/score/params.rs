@@ -1,0 +1,173 @@
+//! What a score is computed with, and the check of it.
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use super::{KSim, Reference};
+use crate::error::ScoreError;
+use crate::kmeans::{KMeans, KMeansParams};
+use crate::neighbors::{Blocked, Clusters, KdTree, Linear, NeighborIndex};
+use crate::trajectories::Trajectories;
+
+/// Which engine finds the nearest states.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Search {
+    /// An exact engine chosen by width: `kd-tree` up to 8 state columns, `blocked` above.
+    #[default]
+    Auto,
+    /// Exact: every row in f64. The oracle.
+    Linear,
+    /// Exact: a k-d tree, for 1 to 8 columns.
+    KdTree,
+    /// Exact: f32 first pass with a bound, then f64; any width.
+    Blocked,
+    /// The paper's approximation: only the k-means cluster with the nearest center.
+    Clusters,
+}
+
+impl Search {
+    /// Every choice, in the order of the documentation.
+    pub const ALL: [Self; 5] =
+        [Self::Auto, Self::Linear, Self::KdTree, Self::Blocked, Self::Clusters];
+
+    /// The name used on the command line and in results.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Linear => "linear",
+            Self::KdTree => "kd-tree",
+            Self::Blocked => "blocked",
+            Self::Clusters => "clusters",
+        }
+    }
+}
+
+impl fmt::Display for Search {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Search {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, Self::Err> {
+        Self::ALL.into_iter().find(|search| search.name() == name).ok_or_else(|| {
+            let names: Vec<_> = Self::ALL.iter().map(|search| search.name()).collect();
+            format!("unknown search {name:?}, expected one of {}", names.join(", "))
+        })
+    }
+}
+
+/// How to score: setters only store, [`fit`](Self::fit) checks.
+///
+/// Defaults: γ = 0.5, 50 neighbors, exact search, and for `clusters` 50 k-means clusters, seed 0;
+/// 2000 bootstrap resamples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KSimParams {
+    pub(super) gamma: f64,
+    pub(super) n_neighbors: usize,
+    pub(super) n_resamples: usize,
+    pub(super) seed: u64,
+    search: Search,
+    kmeans: KMeansParams,
+    centers: Option<Vec<f64>>,
+}
+
+impl Default for KSimParams {
+    fn default() -> Self {
+        Self {
+            gamma: 0.5,
+            n_neighbors: 50,
+            n_resamples: 2000,
+            seed: 0,
+            search: Search::Auto,
+            kmeans: KMeans::params(50),
+            centers: None,
+        }
+    }
+}
+
+impl KSimParams {
+    /// γ: the distance per √column at which the score leaves 1, in standard deviations; above 0.
+    pub fn gamma(mut self, gamma: f64) -> Self {
+        self.gamma = gamma;
+        self
+    }
+
+    /// K: how many nearest states compete by their action; at least 1.
+    pub fn n_neighbors(mut self, n_neighbors: usize) -> Self {
+        self.n_neighbors = n_neighbors;
+        self
+    }
+
+    /// Which engine finds the nearest states.
+    pub fn search(mut self, search: Search) -> Self {
+        self.search = search;
+        self
+    }
+
+    /// How the clusters of [`Search::Clusters`] are fitted; its seed is the one set here.
+    pub fn kmeans(mut self, kmeans: KMeansParams) -> Self {
+        self.kmeans = kmeans;
+        self
+    }
+
+    /// Given cluster centers instead of fitted ones: row-major, of the width of a state, in
+    /// normalized units.
+    pub fn centers(mut self, centers: Vec<f64>) -> Self {
+        self.centers = Some(centers);
+        self
+    }
+
+    /// Resamples of the episode bootstrap.
+    pub fn n_resamples(mut self, n_resamples: usize) -> Self {
+        self.n_resamples = n_resamples;
+        self
+    }
+
+    /// Seed of the bootstrap.
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// Normalizes the reference, which is consumed, and builds the search over its states.
+    ///
+    /// # Errors
+    /// [`ScoreError::EmptyReference`], [`ScoreError::Gamma`], and what k-means or the search
+    /// object to.
+    pub fn fit(self, reference: Trajectories) -> Result<KSim, ScoreError> {
+        if !(self.gamma.is_finite() && self.gamma > 0.0) {
+            return Err(ScoreError::Gamma { value: self.gamma });
+        }
+        if self.n_neighbors == 0 {
+            return Err(crate::error::SearchError::NoNeighbors.into());
+        }
+        let reference = Arc::new(Reference::new(reference)?);
+        let index = self.build_index(&reference)?;
+        Ok(KSim { reference, index, params: self })
+    }
+
+    pub(super) fn build_index(
+        &self,
+        reference: &Reference,
+    ) -> Result<Box<dyn NeighborIndex>, ScoreError> {
+        let states = Arc::clone(&reference.states);
+        let tree = states.n_features() <= KdTree::MAX_FEATURES;
+        Ok(match self.search {
+            Search::Linear => Box::new(Linear::new(states)),
+            Search::Auto if tree => Box::new(KdTree::new(states)?),
+            Search::KdTree => Box::new(KdTree::new(states)?),
+            Search::Auto | Search::Blocked => Box::new(Blocked::new(states)),
+            Search::Clusters => {
+                let kmeans = match &self.centers {
+                    Some(centers) => KMeans::from_centers(centers, states.n_features(), &states)?,
+                    None => self.kmeans.fit(&states)?,
+                };
+                Box::new(Clusters::new(states, kmeans))
+            }
+        })
+    }
+}
