@@ -56,7 +56,9 @@ pub enum DataError {
     #[error("more than {} rows", u32::MAX)]
     TooManyRows,
     /// An episode came back after another had begun.
-    #[error("episode {episode_index} continues after another episode began: rows of one episode must be contiguous")]
+    #[error(
+        "episode {episode_index} continues after another episode began: rows of one episode must be contiguous"
+    )]
     SplitEpisode {
         /// The episode, by its own number.
         episode_index: i64,
@@ -64,7 +66,7 @@ pub enum DataError {
 }
 
 /// Parameters that no k-means fit can take.
-#[derive(Debug, Error, Clone, PartialEq)]
+#[derive(Debug, Error, Clone)]
 #[non_exhaustive]
 pub enum KMeansError {
     /// No cluster was asked for.
@@ -138,7 +140,7 @@ pub enum SearchError {
 }
 
 /// A score that cannot be computed.
-#[derive(Debug, Error, Clone, PartialEq)]
+#[derive(Debug, Error, Clone)]
 #[non_exhaustive]
 pub enum ScoreError {
     /// The reference holds no step.
@@ -164,7 +166,9 @@ pub enum ScoreError {
         value: f64,
     },
     /// A step whose every candidate was excluded.
-    #[error("episode {episode_index}, step {step_index}: no reference step is left to compare with")]
+    #[error(
+        "episode {episode_index}, step {step_index}: no reference step is left to compare with"
+    )]
     NoCandidate {
         /// The episode, by its own number.
         episode_index: i64,

@@ -66,7 +66,11 @@ impl Matrix {
     /// [`DataError::NoColumns`] for width 0.
     pub fn new(n_features: usize) -> Result<Self, DataError> {
         check_shape(0, n_features)?;
-        Ok(Self { high: Vec::new(), low: Vec::new(), n_features })
+        Ok(Self {
+            high: Vec::new(),
+            low: Vec::new(),
+            n_features,
+        })
     }
 
     /// Takes row-major `f32` values as they are, without a copy.
@@ -78,7 +82,11 @@ impl Matrix {
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
             return Err(non_finite(at, n_features, f64::from(values[at])));
         }
-        let matrix = Self { high: values, low: Vec::new(), n_features };
+        let matrix = Self {
+            high: values,
+            low: Vec::new(),
+            n_features,
+        };
         matrix.check_rows()?;
         Ok(matrix)
     }
@@ -110,7 +118,8 @@ impl Matrix {
         if !exact || !self.low.is_empty() {
             // The first value that is not an f32 gives the whole matrix its second plane.
             self.low.resize(before, 0.0);
-            self.low.extend(values.iter().map(|&v| (v - f64::from(v as f32)) as f32));
+            self.low
+                .extend(values.iter().map(|&v| (v - f64::from(v as f32)) as f32));
         }
         Ok(())
     }
@@ -136,7 +145,11 @@ impl Matrix {
     /// # Panics
     /// If `row` or `column` is out of range.
     pub fn value(&self, row: usize, column: usize) -> f64 {
-        assert!(column < self.n_features, "column {column} of {}", self.n_features);
+        assert!(
+            column < self.n_features,
+            "column {column} of {}",
+            self.n_features
+        );
         let at = row * self.n_features + column;
         f64::from(self.high[at]) + self.low.get(at).map_or(0.0, |&low| f64::from(low))
     }
@@ -187,7 +200,10 @@ impl Matrix {
             .par_chunks_mut(width * CHUNK_ROWS)
             .zip(self.low.par_chunks_mut(width * CHUNK_ROWS))
             .for_each(|(high, low)| {
-                for (high, low) in high.chunks_exact_mut(width).zip(low.chunks_exact_mut(width)) {
+                for (high, low) in high
+                    .chunks_exact_mut(width)
+                    .zip(low.chunks_exact_mut(width))
+                {
                     for (column, (high, low)) in high.iter_mut().zip(low).enumerate() {
                         let value = map(column, f64::from(*high) + f64::from(*low));
                         *high = value as f32;
@@ -252,7 +268,11 @@ fn check_finite(values: &[f64], n_features: usize) -> Result<(), DataError> {
 }
 
 fn non_finite(at: usize, n_features: usize, value: f64) -> DataError {
-    DataError::NonFinite { row: at / n_features, column: at % n_features, value }
+    DataError::NonFinite {
+        row: at / n_features,
+        column: at % n_features,
+        value,
+    }
 }
 
 #[cfg(test)]
@@ -278,11 +298,27 @@ mod tests {
     #[test]
     fn bad_input_is_named() {
         let error = Matrix::from_f64(&[1.0, f64::NAN, 2.0, 3.0], 2).unwrap_err();
-        assert!(matches!(error, DataError::NonFinite { row: 0, column: 1, .. }));
-        assert!(matches!(Matrix::from_f64(&[1e39], 1), Err(DataError::NonFinite { .. })));
-        assert!(matches!(Matrix::from_f64(&[1.0], 2), Err(DataError::RaggedRows { .. })));
+        assert!(matches!(
+            error,
+            DataError::NonFinite {
+                row: 0,
+                column: 1,
+                ..
+            }
+        ));
+        assert!(matches!(
+            Matrix::from_f64(&[1e39], 1),
+            Err(DataError::NonFinite { .. })
+        ));
+        assert!(matches!(
+            Matrix::from_f64(&[1.0], 2),
+            Err(DataError::RaggedRows { .. })
+        ));
         assert!(matches!(Matrix::new(0), Err(DataError::NoColumns)));
-        assert!(matches!(Matrix::from_f32(vec![f32::INFINITY], 1), Err(DataError::NonFinite { .. })));
+        assert!(matches!(
+            Matrix::from_f32(vec![f32::INFINITY], 1),
+            Err(DataError::NonFinite { .. })
+        ));
     }
 
     proptest! {

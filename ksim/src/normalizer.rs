@@ -112,16 +112,24 @@ mod tests {
         assert_eq!(normalizer.std(), [1.0, 1.0]);
         let mut normalized = data.clone();
         normalizer.normalize_in_place(&mut normalized);
-        assert_eq!(normalizer.normalized_rows(&data, 0..2), [-1.0, 0.0, 1.0, 0.0]);
+        assert_eq!(
+            normalizer.normalized_rows(&data, 0..2),
+            [-1.0, 0.0, 1.0, 0.0]
+        );
         assert_eq!((normalized.value(1, 0), normalized.value(1, 1)), (1.0, 0.0));
     }
 
     #[test]
     fn statistics_do_not_depend_on_threads() {
-        let values: Vec<f64> = (0..60_000).map(|i| (f64::from(i) * 0.7).sin() * 1e3).collect();
+        let values: Vec<f64> = (0..60_000)
+            .map(|i| (f64::from(i) * 0.7).sin() * 1e3)
+            .collect();
         let data = Matrix::from_f64(&values, 3).unwrap();
         let on = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
             pool.install(|| Normalizer::fit(&data))
         };
         assert_eq!(on(1), on(3));

@@ -52,6 +52,10 @@ mod tests {
         for n in [1, 2, 7, 1000] {
             assert!((0..200).all(|_| rng.below(n) < n));
         }
-        assert!((0..200).map(|_| rng.uniform()).all(|u| (0.0..1.0).contains(&u)));
+        assert!(
+            (0..200)
+                .map(|_| rng.uniform())
+                .all(|u| (0.0..1.0).contains(&u))
+        );
     }
 }

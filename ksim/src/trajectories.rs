@@ -60,12 +60,20 @@ impl Trajectories {
         actions: &[f64],
     ) -> Result<(), DataError> {
         let start = self.n_rows();
-        let (n, n_actions) =
-            (states.len() / self.state_dim(), actions.len() / self.action_dim());
+        let (n, n_actions) = (
+            states.len() / self.state_dim(),
+            actions.len() / self.action_dim(),
+        );
         if n != n_actions {
-            return Err(DataError::UnequalRows { states: n, actions: n_actions });
+            return Err(DataError::UnequalRows {
+                states: n,
+                actions: n_actions,
+            });
         }
-        let continues = self.episodes.last().is_some_and(|e| e.episode_index == episode_index);
+        let continues = self
+            .episodes
+            .last()
+            .is_some_and(|e| e.episode_index == episode_index);
         if !continues && self.seen.contains(&episode_index) {
             return Err(DataError::SplitEpisode { episode_index });
         }
@@ -93,7 +101,10 @@ impl Trajectories {
             Some(last) if continues => last.rows.end += n,
             _ => {
                 self.seen.insert(episode_index);
-                self.episodes.push(EpisodeRows { episode_index, rows: start..start + n });
+                self.episodes.push(EpisodeRows {
+                    episode_index,
+                    rows: start..start + n,
+                });
             }
         }
         Ok(())
@@ -175,10 +186,18 @@ mod tests {
     fn a_bad_value_is_placed_and_nothing_is_stored() {
         let mut data = Trajectories::new(2, 1).unwrap();
         data.push(0, &[0.0, 0.0], &[0.0]).unwrap();
-        let error = data.push(0, &[0.0, 1.0, 2.0, 3.0], &[0.0, f64::INFINITY]).unwrap_err();
+        let error = data
+            .push(0, &[0.0, 1.0, 2.0, 3.0], &[0.0, f64::INFINITY])
+            .unwrap_err();
         assert!(matches!(
             error,
-            DataError::NonFiniteStep { episode_index: 0, step_index: 2, part: "action", column: 0, .. }
+            DataError::NonFiniteStep {
+                episode_index: 0,
+                step_index: 2,
+                part: "action",
+                column: 0,
+                ..
+            }
         ));
         assert_eq!((data.n_rows(), data.actions.n_rows()), (1, 1));
     }

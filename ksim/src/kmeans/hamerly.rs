@@ -62,7 +62,11 @@ impl<'a> Fit<'a> {
     fn new(data: &'a Matrix, centers: Vec<f64>) -> Self {
         let n_clusters = centers.len() / data.n_features();
         // No row belongs anywhere yet: an infinite upper bound sends each through a full look.
-        let unknown = RowState { label: u32::MAX, upper: f32::INFINITY, lower: 0.0 };
+        let unknown = RowState {
+            label: u32::MAX,
+            upper: f32::INFINITY,
+            lower: 0.0,
+        };
         Self {
             data,
             rows: vec![unknown; data.n_rows()],
@@ -82,8 +86,12 @@ impl<'a> Fit<'a> {
         let packed = PackedCenters::new(&self.centers, self.width());
         let drift = Drift::new(&self.shifts);
         let half_gaps = half_gaps(&self.centers, self.width());
-        let pass =
-            Pass { data: self.data, packed: &packed, drift: &drift, half_gaps: &half_gaps };
+        let pass = Pass {
+            data: self.data,
+            packed: &packed,
+            drift: &drift,
+            half_gaps: &half_gaps,
+        };
         let deltas: Vec<Delta> = self
             .rows
             .par_chunks_mut(CHUNK_ROWS)
@@ -91,8 +99,14 @@ impl<'a> Fit<'a> {
             .map(|(chunk, rows)| pass.chunk(chunk * CHUNK_ROWS, rows))
             .collect();
         for delta in deltas {
-            self.sums.iter_mut().zip(delta.sums).for_each(|(sum, d)| *sum += d);
-            self.counts.iter_mut().zip(delta.counts).for_each(|(count, d)| *count += d);
+            self.sums
+                .iter_mut()
+                .zip(delta.sums)
+                .for_each(|(sum, d)| *sum += d);
+            self.counts
+                .iter_mut()
+                .zip(delta.counts)
+                .for_each(|(count, d)| *count += d);
         }
     }
 
@@ -108,7 +122,9 @@ impl<'a> Fit<'a> {
                 }
             }
         }
-        let empty: Vec<usize> = (0..self.counts.len()).filter(|&c| self.counts[c] == 0).collect();
+        let empty: Vec<usize> = (0..self.counts.len())
+            .filter(|&c| self.counts[c] == 0)
+            .collect();
         if !empty.is_empty() {
             for (&c, row) in empty.iter().zip(self.farthest_rows(empty.len())) {
                 self.data.read_row(row, &mut moved[c * width..][..width]);
@@ -160,22 +176,26 @@ impl Pass<'_> {
             }
         }
         let n_clusters = self.half_gaps.len();
-        let mut delta = Delta { sums: vec![0.0; n_clusters * width], counts: vec![0; n_clusters] };
+        let mut delta = Delta {
+            sums: vec![0.0; n_clusters * width],
+            counts: vec![0; n_clusters],
+        };
         let mut point = vec![0.0; width];
-        self.packed.nearest(self.data, RowSet::Listed(&pending), &mut |at, nearest| {
-            let row = pending[at] as usize;
-            let state = &mut rows[row - start];
-            if nearest.label != state.label {
-                self.data.read_row(row, &mut point);
-                delta.add(state.label, &point, -1);
-                delta.add(nearest.label, &point, 1);
-            }
-            *state = RowState {
-                label: nearest.label,
-                upper: (nearest.upper as f32).next_up(),
-                lower: (nearest.lower as f32).next_down(),
-            };
-        });
+        self.packed
+            .nearest(self.data, RowSet::Listed(&pending), &mut |at, nearest| {
+                let row = pending[at] as usize;
+                let state = &mut rows[row - start];
+                if nearest.label != state.label {
+                    self.data.read_row(row, &mut point);
+                    delta.add(state.label, &point, -1);
+                    delta.add(nearest.label, &point, 1);
+                }
+                *state = RowState {
+                    label: nearest.label,
+                    upper: (nearest.upper as f32).next_up(),
+                    lower: (nearest.lower as f32).next_down(),
+                };
+            });
         delta
     }
 
@@ -231,7 +251,11 @@ impl Drift {
                 runner_up = shift;
             }
         }
-        Self { shifts: shifts.to_vec(), largest, runner_up }
+        Self {
+            shifts: shifts.to_vec(),
+            largest,
+            runner_up,
+        }
     }
 
     fn own(&self, label: usize) -> f64 {
@@ -239,7 +263,11 @@ impl Drift {
     }
 
     fn others(&self, label: usize) -> f64 {
-        if label == self.largest.0 { self.runner_up } else { self.largest.1 }
+        if label == self.largest.0 {
+            self.runner_up
+        } else {
+            self.largest.1
+        }
     }
 }
 
@@ -250,8 +278,9 @@ fn half_gaps(centers: &[f64], width: usize) -> Vec<f64> {
         .enumerate()
         .map(|(a, center)| {
             let others = rows.iter().enumerate().filter(|(b, _)| *b != a);
-            let nearest =
-                others.map(|(_, o)| squared_distance(center, o)).fold(f64::INFINITY, f64::min);
+            let nearest = others
+                .map(|(_, o)| squared_distance(center, o))
+                .fold(f64::INFINITY, f64::min);
             nearest.sqrt() / 2.0 * (1.0 - 1e-12)
         })
         .collect()

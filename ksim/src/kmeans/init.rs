@@ -16,8 +16,9 @@ pub(super) fn plus_plus(data: &Matrix, n_clusters: usize, seed: u64) -> Vec<f64>
     let mut chosen = vec![rng.below(data.n_rows()) as u32];
     let mut sums = keep_closest(data, chosen[0], &mut closest);
     while chosen.len() < n_clusters {
-        let trials: Vec<u32> =
-            (0..n_trials).map(|_| draw(&closest, &sums, &mut rng, &chosen)).collect();
+        let trials: Vec<u32> = (0..n_trials)
+            .map(|_| draw(&closest, &sums, &mut rng, &chosen))
+            .collect();
         let potentials = potentials(data, &trials, &closest);
         let best = (0..trials.len())
             .min_by(|&a, &b| potentials[a].total_cmp(&potentials[b]))
@@ -26,7 +27,10 @@ pub(super) fn plus_plus(data: &Matrix, n_clusters: usize, seed: u64) -> Vec<f64>
         chosen.push(best);
     }
     let mut centers = vec![0.0; n_clusters * data.n_features()];
-    for (&row, center) in chosen.iter().zip(centers.chunks_exact_mut(data.n_features())) {
+    for (&row, center) in chosen
+        .iter()
+        .zip(centers.chunks_exact_mut(data.n_features()))
+    {
         data.read_row(row as usize, center);
     }
     centers
@@ -54,7 +58,11 @@ fn draw(closest: &[f32], sums: &[f64], rng: &mut Rng, chosen: &[u32]) -> u32 {
     // Rounding ran past the end, or nothing is left to draw by distance.
     let farthest = (0..closest.len() as u32)
         .filter(|row| !chosen.contains(row))
-        .max_by(|&a, &b| closest[a as usize].total_cmp(&closest[b as usize]).then(b.cmp(&a)));
+        .max_by(|&a, &b| {
+            closest[a as usize]
+                .total_cmp(&closest[b as usize])
+                .then(b.cmp(&a))
+        });
     farthest.unwrap_or(chosen[0])
 }
 
@@ -66,7 +74,10 @@ fn keep_closest(data: &Matrix, center: u32, closest: &mut [f32]) -> Vec<f64> {
         .enumerate()
         .map(|(chunk, closest)| {
             let start = chunk * CHUNK_ROWS;
-            let rows = RowSet::Range { start, end: start + closest.len() };
+            let rows = RowSet::Range {
+                start,
+                end: start + closest.len(),
+            };
             let mut sum = 0.0;
             Arch::new().dispatch(Distances {
                 data,
@@ -86,13 +97,19 @@ fn keep_closest(data: &Matrix, center: u32, closest: &mut [f32]) -> Vec<f64> {
 
 /// For each trial the sum of squared distances that choosing it would leave.
 fn potentials(data: &Matrix, trials: &[u32], closest: &[f32]) -> Vec<f64> {
-    let points: Vec<&[f32]> = trials.iter().map(|&row| data.high_row(row as usize)).collect();
+    let points: Vec<&[f32]> = trials
+        .iter()
+        .map(|&row| data.high_row(row as usize))
+        .collect();
     let by_chunk: Vec<Vec<f64>> = closest
         .par_chunks(CHUNK_ROWS)
         .enumerate()
         .map(|(chunk, closest)| {
             let start = chunk * CHUNK_ROWS;
-            let rows = RowSet::Range { start, end: start + closest.len() };
+            let rows = RowSet::Range {
+                start,
+                end: start + closest.len(),
+            };
             let mut sums = vec![0.0; trials.len()];
             Arch::new().dispatch(Distances {
                 data,
@@ -105,7 +122,9 @@ fn potentials(data: &Matrix, trials: &[u32], closest: &[f32]) -> Vec<f64> {
             sums
         })
         .collect();
-    (0..trials.len()).map(|trial| by_chunk.iter().map(|sums| sums[trial]).sum()).collect()
+    (0..trials.len())
+        .map(|trial| by_chunk.iter().map(|sums| sums[trial]).sum())
+        .collect()
 }
 
 /// Σ min(a, b) over eight interleaved f64 sums, a fixed order that vector units can follow.

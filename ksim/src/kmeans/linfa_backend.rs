@@ -17,8 +17,9 @@ use crate::matrix::Matrix;
 /// of our tolerance in all, which for normalized columns is the same rule.
 pub(super) fn fit(data: &Matrix, params: &KMeansParams) -> Result<KMeans, KMeansError> {
     let width = data.n_features();
-    let records =
-        Array2::from_shape_fn((data.n_rows(), width), |(row, column)| data.value(row, column));
+    let records = Array2::from_shape_fn((data.n_rows(), width), |(row, column)| {
+        data.value(row, column)
+    });
     let rng = Xoshiro256Plus::seed_from_u64(params.seed);
     let fitted = linfa_clustering::KMeans::params_with_rng(params.n_clusters, rng)
         .init_method(KMeansInit::KMeansPlusPlus)
@@ -29,5 +30,11 @@ pub(super) fn fit(data: &Matrix, params: &KMeansParams) -> Result<KMeans, KMeans
         .map_err(|error| KMeansError::Linfa(Arc::new(error)))?;
     let centers: Vec<f64> = fitted.centroids().iter().copied().collect();
     let labels = scan::assign(data, &centers);
-    Ok(KMeans::assigned(centers, labels, data, params.max_iterations, true))
+    Ok(KMeans::assigned(
+        centers,
+        labels,
+        data,
+        params.max_iterations,
+        true,
+    ))
 }

@@ -48,12 +48,19 @@ impl KMeans {
     ///
     /// # Errors
     /// [`KMeansError::NoClusters`], [`KMeansError::CenterWidth`].
-    pub fn from_centers(centers: &[f64], n_features: usize, data: &Matrix) -> Result<Self, KMeansError> {
+    pub fn from_centers(
+        centers: &[f64],
+        n_features: usize,
+        data: &Matrix,
+    ) -> Result<Self, KMeansError> {
         if centers.is_empty() || n_features == 0 {
             return Err(KMeansError::NoClusters);
         }
         if n_features != data.n_features() || !centers.len().is_multiple_of(n_features) {
-            return Err(KMeansError::CenterWidth { expected: data.n_features(), found: n_features });
+            return Err(KMeansError::CenterWidth {
+                expected: data.n_features(),
+                found: n_features,
+            });
         }
         let labels = scan::assign(data, centers);
         Ok(Self::assigned(centers.to_vec(), labels, data, 0, true))
@@ -68,7 +75,14 @@ impl KMeans {
     ) -> Self {
         let n_features = data.n_features();
         let inertia = inertia(data, &centers, &labels);
-        Self { centers, n_features, labels, inertia, n_iterations, converged }
+        Self {
+            centers,
+            n_features,
+            labels,
+            inertia,
+            n_iterations,
+            converged,
+        }
     }
 
     /// Number of clusters.

@@ -74,10 +74,15 @@ impl KMeansParams {
             return Err(KMeansError::NoClusters);
         }
         if n_rows < self.n_clusters {
-            return Err(KMeansError::TooFewRows { n_rows, n_clusters: self.n_clusters });
+            return Err(KMeansError::TooFewRows {
+                n_rows,
+                n_clusters: self.n_clusters,
+            });
         }
         if !(self.tolerance.is_finite() && self.tolerance >= 0.0) {
-            return Err(KMeansError::Tolerance { value: self.tolerance });
+            return Err(KMeansError::Tolerance {
+                value: self.tolerance,
+            });
         }
         Ok(())
     }

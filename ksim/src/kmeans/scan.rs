@@ -51,7 +51,13 @@ impl<'a> PackedCenters<'a> {
                 negated[((c / GROUP) * width + column) * GROUP + c % GROUP] = -value as f32;
             }
         }
-        Self { exact, width, negated, half_norms, max_norm }
+        Self {
+            exact,
+            width,
+            negated,
+            half_norms,
+            max_norm,
+        }
     }
 
     /// One center, in f64.
@@ -66,7 +72,12 @@ impl<'a> PackedCenters<'a> {
         rows: RowSet<'_>,
         found: &mut dyn FnMut(usize, Nearest),
     ) {
-        Arch::new().dispatch(Pass { centers: self, data, rows, found });
+        Arch::new().dispatch(Pass {
+            centers: self,
+            data,
+            rows,
+            found,
+        });
     }
 
     /// Turns the scores of one row into a verdict.
@@ -82,16 +93,28 @@ impl<'a> PackedCenters<'a> {
         if certain {
             let upper = (squared_norm + 2.0 * best + slack).max(0.0).sqrt();
             let lower = (squared_norm + 2.0 * second - slack).max(0.0).sqrt();
-            return Nearest { label: scores.label, upper, lower };
+            return Nearest {
+                label: scores.label,
+                upper,
+                lower,
+            };
         }
         let mut point = vec![0.0; self.width];
         data.read_row(row, &mut point);
         let (label, squared) = nearest_center(self.exact, &point);
-        let others = self.exact.chunks_exact(self.width).zip(0..).filter(|(_, c)| *c != label);
+        let others = self
+            .exact
+            .chunks_exact(self.width)
+            .zip(0..)
+            .filter(|(_, c)| *c != label);
         let lower = others
             .map(|(center, _)| crate::matrix::squared_distance(center, &point))
             .fold(f64::INFINITY, f64::min);
-        Nearest { label, upper: squared.sqrt(), lower: lower.sqrt() }
+        Nearest {
+            label,
+            upper: squared.sqrt(),
+            lower: lower.sqrt(),
+        }
     }
 }
 
@@ -99,11 +122,17 @@ impl<'a> PackedCenters<'a> {
 pub(super) fn assign(data: &Matrix, centers: &[f64]) -> Vec<u32> {
     let packed = PackedCenters::new(centers, data.n_features());
     let mut labels = vec![0; data.n_rows()];
-    labels.par_chunks_mut(CHUNK_ROWS).enumerate().for_each(|(chunk, labels)| {
-        let start = chunk * CHUNK_ROWS;
-        let rows = RowSet::Range { start, end: start + labels.len() };
-        packed.nearest(data, rows, &mut |at, nearest| labels[at] = nearest.label);
-    });
+    labels
+        .par_chunks_mut(CHUNK_ROWS)
+        .enumerate()
+        .for_each(|(chunk, labels)| {
+            let start = chunk * CHUNK_ROWS;
+            let rows = RowSet::Range {
+                start,
+                end: start + labels.len(),
+            };
+            packed.nearest(data, rows, &mut |at, nearest| labels[at] = nearest.label);
+        });
     labels
 }
 
@@ -183,8 +212,9 @@ fn score_rows<S: Simd>(
     let mut second = best;
     let mut label = simd.splat_u32s(0);
     let groups = centers.negated.chunks_exact(centers.width * GROUP);
-    for (group, (negated, half_norms)) in
-        groups.zip(centers.half_norms.chunks_exact(GROUP)).enumerate()
+    for (group, (negated, half_norms)) in groups
+        .zip(centers.half_norms.chunks_exact(GROUP))
+        .enumerate()
     {
         let mut sums: [S::f32s; GROUP] = std::array::from_fn(|c| simd.splat_f32s(half_norms[c]));
         for (column, values) in negated.chunks_exact(GROUP).enumerate() {

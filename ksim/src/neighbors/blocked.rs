@@ -56,8 +56,17 @@ impl NeighborIndex for Blocked {
                         excluded: request.excluded(query),
                     })
                     .collect();
-                let rows = RowSet::Range { start: 0, end: self.n_rows() };
-                scan::nearest(&self.data, rows, &queries, request.n_neighbors, self.max_norm)
+                let rows = RowSet::Range {
+                    start: 0,
+                    end: self.n_rows(),
+                };
+                scan::nearest(
+                    &self.data,
+                    rows,
+                    &queries,
+                    request.n_neighbors,
+                    self.max_norm,
+                )
             })
             .collect();
         Ok(Neighbors::from_lists(lists, None))

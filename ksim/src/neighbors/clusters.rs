@@ -33,7 +33,11 @@ impl Clusters {
     /// # Panics
     /// If `kmeans` was fitted to another number of rows.
     pub fn new(data: Arc<Matrix>, kmeans: KMeans) -> Self {
-        assert_eq!(kmeans.labels().len(), data.n_rows(), "rows behind the clusters");
+        assert_eq!(
+            kmeans.labels().len(),
+            data.n_rows(),
+            "rows behind the clusters"
+        );
         let mut offsets = vec![0; kmeans.n_clusters() + 1];
         for &label in kmeans.labels() {
             offsets[label as usize + 1] += 1;
@@ -48,7 +52,13 @@ impl Clusters {
             next[label as usize] += 1;
         }
         let max_norm = scan::max_norm(&data);
-        Self { data, kmeans, rows, offsets, max_norm }
+        Self {
+            data,
+            kmeans,
+            rows,
+            offsets,
+            max_norm,
+        }
     }
 
     /// The clusters searched.
@@ -63,14 +73,19 @@ impl Clusters {
     /// The nearest cluster that has a row for this query.
     fn probe(&self, query: &Query<'_>) -> u32 {
         let has_row = |cluster: u32| {
-            self.members(cluster).iter().any(|&row| !query.excluded.contains(&(row as usize)))
+            self.members(cluster)
+                .iter()
+                .any(|&row| !query.excluded.contains(&(row as usize)))
         };
         let nearest = self.kmeans.nearest_center(query.values);
         if has_row(nearest) {
             return nearest;
         }
         let order = self.kmeans.centers_by_distance(query.values);
-        order.into_iter().find(|&cluster| has_row(cluster)).unwrap_or(nearest)
+        order
+            .into_iter()
+            .find(|&cluster| has_row(cluster))
+            .unwrap_or(nearest)
     }
 }
 
@@ -113,8 +128,13 @@ impl NeighborIndex for Clusters {
             .flat_map_iter(|&task| {
                 let queries: Vec<Query<'_>> = task.iter().map(|&query| query_at(query)).collect();
                 let rows = RowSet::Listed(self.members(clusters[task[0]]));
-                let lists =
-                    scan::nearest(&self.data, rows, &queries, request.n_neighbors, self.max_norm);
+                let lists = scan::nearest(
+                    &self.data,
+                    rows,
+                    &queries,
+                    request.n_neighbors,
+                    self.max_norm,
+                );
                 task.iter().copied().zip(lists)
             })
             .collect();

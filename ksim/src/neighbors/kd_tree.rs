@@ -46,13 +46,21 @@ impl KdTree {
             7 => build::<7>(&data)?,
             8 => build::<8>(&data)?,
             found => {
-                return Err(SearchError::TooWideForTree { largest: Self::MAX_FEATURES, found });
+                return Err(SearchError::TooWideForTree {
+                    largest: Self::MAX_FEATURES,
+                    found,
+                });
             }
         };
         Ok(Self { data, tree })
     }
 
-    fn search_one(&self, query: &[f64], excluded: std::ops::Range<usize>, n: usize) -> Vec<Neighbor> {
+    fn search_one(
+        &self,
+        query: &[f64],
+        excluded: std::ops::Range<usize>,
+        n: usize,
+    ) -> Vec<Neighbor> {
         let allowed = |row: &u32| !excluded.contains(&(*row as usize));
         let wanted = n + excluded.len();
         let mut found = self.tree.nearest(query, wanted + SPARE);
@@ -63,7 +71,12 @@ impl KdTree {
                 found = self.tree.within(query, limit * CLEARLY_BEYOND);
             }
         }
-        rank(&self.data, query, found.into_iter().map(|(_, row)| row).filter(allowed), n)
+        rank(
+            &self.data,
+            query,
+            found.into_iter().map(|(_, row)| row).filter(allowed),
+            n,
+        )
     }
 }
 
@@ -90,9 +103,7 @@ impl NeighborIndex for KdTree {
         let lists = (0..request.queries.n_rows())
             .into_par_iter()
             .with_min_len(64)
-            .map(|query| {
-                self.search_one(request.queries.row(query), request.excluded(query), n)
-            })
+            .map(|query| self.search_one(request.queries.row(query), request.excluded(query), n))
             .collect();
         Ok(Neighbors::from_lists(lists, None))
     }
@@ -130,7 +141,9 @@ impl<const K: usize> Fixed<K> {
 
 impl<const K: usize> Tree for Fixed<K> {
     fn nearest(&self, query: &[f64], n: usize) -> Vec<(f64, u32)> {
-        let Some(n) = NonZero::new(n) else { return Vec::new() };
+        let Some(n) = NonZero::new(n) else {
+            return Vec::new();
+        };
         self.0
             .query(&Self::point(query))
             .nearest_n::<SquaredEuclidean<f64>>(n)

@@ -46,7 +46,12 @@ impl NeighborIndex for Linear {
             .map(|query| {
                 let excluded = request.excluded(query);
                 let rows = (0..self.n_rows() as u32).filter(|&r| !excluded.contains(&(r as usize)));
-                rank(&self.data, request.queries.row(query), rows, request.n_neighbors)
+                rank(
+                    &self.data,
+                    request.queries.row(query),
+                    rows,
+                    request.n_neighbors,
+                )
             })
             .collect();
         Ok(Neighbors::from_lists(lists, None))

@@ -35,7 +35,11 @@ pub struct SearchRequest<'a> {
 impl<'a> SearchRequest<'a> {
     /// A request without exclusions.
     pub fn new(queries: MatrixView<'a>, n_neighbors: usize) -> Self {
-        Self { queries, n_neighbors, excluded: None }
+        Self {
+            queries,
+            n_neighbors,
+            excluded: None,
+        }
     }
 
     fn excluded(&self, query: usize) -> Range<usize> {
@@ -45,7 +49,10 @@ impl<'a> SearchRequest<'a> {
     fn check(&self, n_features: usize) -> Result<(), SearchError> {
         let found = self.queries.n_features();
         if found != n_features {
-            return Err(SearchError::DimensionMismatch { expected: n_features, found });
+            return Err(SearchError::DimensionMismatch {
+                expected: n_features,
+                found,
+            });
         }
         if self.n_neighbors == 0 {
             return Err(SearchError::NoNeighbors);
@@ -90,7 +97,11 @@ impl Neighbors {
             neighbors.extend(list);
             offsets.push(neighbors.len());
         }
-        Self { neighbors, offsets, clusters }
+        Self {
+            neighbors,
+            offsets,
+            clusters,
+        }
     }
 
     /// Number of queries answered.
@@ -141,13 +152,20 @@ fn rank(
     candidates: impl Iterator<Item = u32>,
     n: usize,
 ) -> Vec<Neighbor> {
-    let mut ranked: Vec<(f64, u32)> =
-        candidates.map(|row| (data.squared_distance(row as usize, query), row)).collect();
+    let mut ranked: Vec<(f64, u32)> = candidates
+        .map(|row| (data.squared_distance(row as usize, query), row))
+        .collect();
     let by_distance = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
     if ranked.len() > n {
         ranked.select_nth_unstable_by(n - 1, by_distance);
         ranked.truncate(n);
     }
     ranked.sort_unstable_by(by_distance);
-    ranked.into_iter().map(|(squared, row)| Neighbor { row, distance: squared.sqrt() }).collect()
+    ranked
+        .into_iter()
+        .map(|(squared, row)| Neighbor {
+            row,
+            distance: squared.sqrt(),
+        })
+        .collect()
 }

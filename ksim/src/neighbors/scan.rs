@@ -34,9 +34,15 @@ pub(super) fn nearest(
     n: usize,
     max_norm: f64,
 ) -> Vec<Vec<Neighbor>> {
-    let mut states: Vec<State> =
-        queries.iter().map(|query| State::new(query, n, max_norm)).collect();
-    Arch::new().dispatch(Scan { data, rows, queries: &mut states });
+    let mut states: Vec<State> = queries
+        .iter()
+        .map(|query| State::new(query, n, max_norm))
+        .collect();
+    Arch::new().dispatch(Scan {
+        data,
+        rows,
+        queries: &mut states,
+    });
     states
         .into_iter()
         .zip(queries)
@@ -125,7 +131,9 @@ impl State {
             return;
         }
         let by_distance = |a: &(f32, u32), b: &(f32, u32)| a.0.total_cmp(&b.0);
-        let (_, nth, _) = self.survivors.select_nth_unstable_by(self.n - 1, by_distance);
+        let (_, nth, _) = self
+            .survivors
+            .select_nth_unstable_by(self.n - 1, by_distance);
         self.threshold = self.threshold.min(self.bound.widen(nth.0));
         let threshold = self.threshold;
         self.survivors.retain(|(squared, _)| *squared <= threshold);

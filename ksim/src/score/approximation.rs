@@ -29,7 +29,10 @@ impl ApproximationError {
         rollouts: &Trajectories,
         exclude_same_episode: bool,
     ) -> Result<Self, ScoreError> {
-        let options = || ScoreOptions { exclude_same_episode, progress: None };
+        let options = || ScoreOptions {
+            exclude_same_episode,
+            progress: None,
+        };
         let rows = |ksim: &KSim| {
             let mut lists: Vec<Vec<u32>> = Vec::with_capacity(rollouts.n_rows());
             ksim.for_each_block(rollouts, &mut options(), &mut |_, neighbors| {
@@ -43,7 +46,10 @@ impl ApproximationError {
             .iter()
             .zip(&truth)
             .map(|(found, truth)| {
-                let hits = found.iter().filter(|row| truth.binary_search(row).is_ok()).count();
+                let hits = found
+                    .iter()
+                    .filter(|row| truth.binary_search(row).is_ok())
+                    .count();
                 hits as f64 / truth.len().max(1) as f64
             })
             .sum::<f64>()
@@ -52,7 +58,9 @@ impl ApproximationError {
         let b = exact.score_with(rollouts, &mut options())?;
         let n = a.steps.len() as f64;
         let pairs = || a.steps.iter().zip(&b.steps);
-        let differs = pairs().filter(|(a, b)| a.reference_row != b.reference_row).count();
+        let differs = pairs()
+            .filter(|(a, b)| a.reference_row != b.reference_row)
+            .count();
         let differences = || pairs().map(|(a, b)| a.score - b.score);
         Ok(Self {
             recall,
@@ -64,7 +72,11 @@ impl ApproximationError {
 }
 
 fn sorted_rows(neighbors: &Neighbors, query: usize) -> Vec<u32> {
-    let mut rows: Vec<u32> = neighbors.of(query).iter().map(|neighbor| neighbor.row).collect();
+    let mut rows: Vec<u32> = neighbors
+        .of(query)
+        .iter()
+        .map(|neighbor| neighbor.row)
+        .collect();
     rows.sort_unstable();
     rows
 }

@@ -14,7 +14,12 @@ pub(super) fn interval_95(values: &[f64], n_resamples: usize, seed: u64) -> Opti
     }
     let mut rng = Rng::new(seed, Purpose::Bootstrap);
     let seeds: Vec<Rng> = (0..n_resamples)
-        .map(|_| Rng::new((rng.uniform() * (1u64 << 53) as f64) as u64, Purpose::Bootstrap))
+        .map(|_| {
+            Rng::new(
+                (rng.uniform() * (1u64 << 53) as f64) as u64,
+                Purpose::Bootstrap,
+            )
+        })
         .collect();
     let mut means: Vec<f64> = seeds
         .into_par_iter()
@@ -29,7 +34,9 @@ pub(super) fn interval_95(values: &[f64], n_resamples: usize, seed: u64) -> Opti
 
 /// The `q`-quantile of ascending values, linear between neighbors; NaN for none.
 pub(super) fn quantile(sorted: &[f64], q: f64) -> f64 {
-    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let Some(last) = sorted.len().checked_sub(1) else {
+        return f64::NAN;
+    };
     let at = q * last as f64;
     let below = (at as usize).min(last);
     let above = (below + 1).min(last);

@@ -9,7 +9,6 @@ pub use approximation::ApproximationError;
 pub use params::{KSimParams, Search};
 pub use report::{Aggregate, EpisodeScore, Report, StepScore};
 
-
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -109,7 +108,10 @@ impl KSim {
 
     /// Normalization of states and of actions, from the reference.
     pub fn normalizers(&self) -> (&Normalizer, &Normalizer) {
-        (&self.reference.state_normalizer, &self.reference.action_normalizer)
+        (
+            &self.reference.state_normalizer,
+            &self.reference.action_normalizer,
+        )
     }
 
     /// The same reference under another search; the data are shared, not copied.
@@ -119,7 +121,11 @@ impl KSim {
     pub fn with_search(&self, search: Search) -> Result<Self, ScoreError> {
         let params = self.params.clone().search(search);
         let index = params.build_index(&self.reference)?;
-        Ok(Self { reference: Arc::clone(&self.reference), index, params })
+        Ok(Self {
+            reference: Arc::clone(&self.reference),
+            index,
+            params,
+        })
     }
 
     /// Episode number and step of a reference row.
@@ -184,7 +190,9 @@ impl KSim {
             let rows = start..(start + BLOCK_STEPS).min(rollouts.n_rows());
             let block = Block {
                 start,
-                states: reference.state_normalizer.normalized_rows(&rollouts.states, rows.clone()),
+                states: reference
+                    .state_normalizer
+                    .normalized_rows(&rollouts.states, rows.clone()),
                 actions: reference
                     .action_normalizer
                     .normalized_rows(&rollouts.actions, rows.clone()),
@@ -211,10 +219,18 @@ impl KSim {
         let reference = &self.reference;
         for (part, expected, found) in [
             ("state", reference.states.n_features(), rollouts.state_dim()),
-            ("action", reference.actions.n_features(), rollouts.action_dim()),
+            (
+                "action",
+                reference.actions.n_features(),
+                rollouts.action_dim(),
+            ),
         ] {
             if expected != found {
-                return Err(ScoreError::WidthMismatch { part, expected, found });
+                return Err(ScoreError::WidthMismatch {
+                    part,
+                    expected,
+                    found,
+                });
             }
         }
         Ok(())
@@ -230,7 +246,9 @@ impl KSim {
                 .iter()
                 .find(|reference| reference.episode_index == episode.episode_index)
                 .filter(|twin| self.is_same(rollouts, episode, twin))
-                .ok_or(ScoreError::NotSelf { episode_index: episode.episode_index })?;
+                .ok_or(ScoreError::NotSelf {
+                    episode_index: episode.episode_index,
+                })?;
             excluded.extend(std::iter::repeat_n(twin.rows.clone(), episode.rows.len()));
         }
         Ok(excluded)
@@ -241,12 +259,18 @@ impl KSim {
         let reference = &*self.reference;
         let normalizer = &reference.state_normalizer;
         episode.rows.len() == twin.rows.len()
-            && episode.rows.clone().zip(twin.rows.clone()).all(|(row, twin)| {
-                (0..rollouts.state_dim()).all(|column| {
-                    let value = normalizer.normalize(column, rollouts.states.value(row, column));
-                    (value - reference.states.value(twin, column)).abs() <= 1e-9 * (1.0 + value.abs())
+            && episode
+                .rows
+                .clone()
+                .zip(twin.rows.clone())
+                .all(|(row, twin)| {
+                    (0..rollouts.state_dim()).all(|column| {
+                        let value =
+                            normalizer.normalize(column, rollouts.states.value(row, column));
+                        (value - reference.states.value(twin, column)).abs()
+                            <= 1e-9 * (1.0 + value.abs())
+                    })
                 })
-            })
     }
 
     /// The matched pair of one query and its distances (Similarity Measurement, steps 3 and 4):
@@ -280,7 +304,10 @@ impl KSim {
         let mut best: Option<(Neighbor, f64)> = None;
         // Candidates come by ascending state distance, then row: the first of equals stays.
         for &candidate in candidates {
-            let squared = self.reference.actions.squared_distance(candidate.row as usize, action);
+            let squared = self
+                .reference
+                .actions
+                .squared_distance(candidate.row as usize, action);
             if best.is_none_or(|(_, least)| squared < least) {
                 best = Some((candidate, squared));
             }

@@ -28,8 +28,13 @@ pub enum Search {
 
 impl Search {
     /// Every choice, in the order of the documentation.
-    pub const ALL: [Self; 5] =
-        [Self::Auto, Self::Linear, Self::KdTree, Self::Blocked, Self::Clusters];
+    pub const ALL: [Self; 5] = [
+        Self::Auto,
+        Self::Linear,
+        Self::KdTree,
+        Self::Blocked,
+        Self::Clusters,
+    ];
 
     /// The name used on the command line and in results.
     pub fn name(self) -> &'static str {
@@ -53,10 +58,16 @@ impl FromStr for Search {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, Self::Err> {
-        Self::ALL.into_iter().find(|search| search.name() == name).ok_or_else(|| {
-            let names: Vec<_> = Self::ALL.iter().map(|search| search.name()).collect();
-            format!("unknown search {name:?}, expected one of {}", names.join(", "))
-        })
+        Self::ALL
+            .into_iter()
+            .find(|search| search.name() == name)
+            .ok_or_else(|| {
+                let names: Vec<_> = Self::ALL.iter().map(|search| search.name()).collect();
+                format!(
+                    "unknown search {name:?}, expected one of {}",
+                    names.join(", ")
+                )
+            })
     }
 }
 
@@ -147,7 +158,11 @@ impl KSimParams {
         }
         let reference = Arc::new(Reference::new(reference)?);
         let index = self.build_index(&reference)?;
-        Ok(KSim { reference, index, params: self })
+        Ok(KSim {
+            reference,
+            index,
+            params: self,
+        })
     }
 
     pub(super) fn build_index(
