@@ -1,64 +1,132 @@
 #!/usr/bin/env python3
-"""Fetches what the build needs and a fresh machine may lack, under .native/ (stdlib + pip only).
+"""Puts under .native/ what the build needs and a fresh machine may lack.
 
-  .native/cmake/   CMake >= 3.26, for the static HDF5 build
+  .native/cmake/bin/cmake   CMake >= 3.26, which builds the static HDF5: a link to the machine's
+                            own (or to $CMAKE) if it is new enough, else the one that pip fetches
 
-Idempotent: a stamp file says what is there. Wheels are cached in .native/wheels or $NATIVE_WHEELS.
+Standard library and pip only. Runs from any folder, again at no cost, and twice at once: every
+result is made in a folder of its own and renamed into place when it is whole. Wheels stay in
+.native/wheels, or in $NATIVE_WHEELS.
 """
+import contextlib
 import os
 import pathlib
-import platform
+import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import zipfile
 
-CMAKE = "3.31.10"  # the last 3.x; hdf5-metno-src needs >= 3.26, Debian 12 has 3.25
-ROOT = pathlib.Path(__file__).resolve().parents[1]
-NATIVE = ROOT / ".native"
-WHEELS = pathlib.Path(os.environ.get("NATIVE_WHEELS", NATIVE / "wheels"))
-STAMP = f"cmake={CMAKE} v1\n"
+CMAKE = "3.31.10"  # the last 3.x
+CMAKE_AT_LEAST = (3, 26)  # what hdf5-metno-src asks for; Debian 12 has 3.25
+NATIVE = pathlib.Path(__file__).resolve().parents[1] / ".native"
+WHEELS = pathlib.Path(os.environ.get("NATIVE_WHEELS") or NATIVE / "wheels")
 
 
-def wheel(name, version):
-    """The wheel of this machine's platform, from the cache or the package index."""
-    pattern = f"{name}-{version}-*{platform.machine()}*.whl"
-    if not list(WHEELS.glob(pattern)):
-        WHEELS.mkdir(parents=True, exist_ok=True)
-        subprocess.run(
-            [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:",
-             "-q", "-d", str(WHEELS), f"{name}=={version}"],
-            check=True,
-        )
-    found = sorted(WHEELS.glob(pattern))
-    if not found:
-        sys.exit(f"no {name} {version} wheel for {platform.machine()} in {WHEELS}")
-    return found[0]
+def cmake_version(cmake):
+    """(major, minor) of a CMake that runs, else None."""
+    try:
+        out = subprocess.run([cmake, "--version"], capture_output=True, text=True).stdout
+    except OSError:
+        return None
+    found = re.match(r"cmake version (\d+)\.(\d+)", out)
+    return (int(found[1]), int(found[2])) if found else None
 
 
-def extract(archive, prefix, destination):
-    """Copies every file below `prefix`, keeping the executable bit."""
+def new_enough(cmake):
+    version = cmake_version(cmake)
+    return version is not None and version >= CMAKE_AT_LEAST
+
+
+@contextlib.contextmanager
+def workspace(beside):
+    """A folder beside the result, on the same disk so that a rename is all it takes."""
+    beside.mkdir(parents=True, exist_ok=True)
+    path = pathlib.Path(tempfile.mkdtemp(prefix=".partial-", dir=beside))
+    try:
+        yield path
+    finally:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def put(made, place, is_good):
+    """Renames `made` to `place`, unless a good one came there meanwhile."""
+    with contextlib.suppress(OSError):
+        made.rename(place)
+        return
+    if not is_good():
+        with workspace(place.parent) as away:
+            place.rename(away / "old")
+            made.rename(place)
+
+
+def pip_download(requirement, into, *source):
+    """The wheel that pip chose for this machine, or None."""
+    command = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:",
+               "--disable-pip-version-check", "-q", "-d", str(into), *source, requirement]
+    offline = "--no-index" in source
+    done = subprocess.run(command, stderr=subprocess.DEVNULL if offline else None)
+    return next(into.glob("*.whl"), None) if done.returncode == 0 else None
+
+
+def wheel(requirement, into):
+    """A wheel of this machine's platform, from the cache or the package index."""
+    WHEELS.mkdir(parents=True, exist_ok=True)
+    cached = pip_download(requirement, into, "--no-index", "--find-links", str(WHEELS))
+    if cached:
+        return cached
+    fetched = pip_download(requirement, into)
+    if not fetched:
+        sys.exit(f"native.py: pip could not fetch {requirement} (its message is above)")
+    with workspace(WHEELS) as partial:
+        shutil.copy(fetched, partial)
+        os.replace(partial / fetched.name, WHEELS / fetched.name)
+    return fetched
+
+
+def unpack(archive, marker, into):
+    """Copies the folder of the wheel that holds `marker`, keeping executable bits."""
     with zipfile.ZipFile(archive) as z:
+        prefix = next(n for n in z.namelist() if n.endswith(f"/{marker}")).removesuffix(marker)
         for info in z.infolist():
             if info.is_dir() or not info.filename.startswith(prefix):
                 continue
-            out = destination / info.filename[len(prefix):]
+            out = into / info.filename[len(prefix):]
             out.parent.mkdir(parents=True, exist_ok=True)
             with z.open(info) as source, open(out, "wb") as target:
                 shutil.copyfileobj(source, target, 1 << 20)
             out.chmod(0o755 if info.external_attr >> 16 & 0o100 else 0o644)
 
 
-def main():
-    stamp = NATIVE / "stamp"
-    if stamp.exists() and stamp.read_text() == STAMP:
-        print("native.py: .native is up to date")
+def provide_cmake():
+    place = NATIVE / "cmake"
+    ours = place / "bin" / "cmake"
+    if new_enough(ours):
         return
-    shutil.rmtree(NATIVE / "cmake", ignore_errors=True)
-    archive = wheel("cmake", CMAKE)
-    extract(archive, "cmake/data/", NATIVE / "cmake")
-    stamp.write_text(STAMP)
-    print("native.py: wrote CMake", CMAKE, "to .native/cmake")
+    with workspace(NATIVE) as partial:
+        made = partial / "cmake"
+        own = shutil.which(os.environ.get("CMAKE") or "cmake")
+        if own and new_enough(own):
+            (made / "bin").mkdir(parents=True)
+            (made / "bin" / "cmake").symlink_to(pathlib.Path(own).absolute())
+            told = f"linked CMake {own}"
+        else:
+            require_pip()
+            unpack(wheel(f"cmake=={CMAKE}", partial), "bin/cmake", made)
+            told = f"fetched CMake {CMAKE}"
+        put(made, place, lambda: new_enough(ours))
+    if not new_enough(ours):
+        sys.exit(f"native.py: {ours} does not run on this machine; "
+                 "install CMake >= 3.26 and run this again")
+    print(f"native.py: {told}")
 
 
-main()
+def require_pip():
+    if subprocess.run([sys.executable, "-m", "pip", "--version"], capture_output=True).returncode:
+        sys.exit(f"native.py: {sys.executable} has no pip, which fetches CMake {CMAKE}.\n"
+                 "Install pip (Debian and Ubuntu: apt install python3-pip) "
+                 "or a CMake >= 3.26, and run this again.")
+
+
+provide_cmake()
