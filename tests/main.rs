@@ -1,0 +1,4 @@
+//! One binary for all cross-crate tests: it links once.
+
+mod layering;
+mod repository;
