@@ -106,6 +106,10 @@ impl NeighborIndex for Clusters {
         self.data.n_features()
     }
 
+    fn kmeans(&self) -> Option<&KMeans> {
+        Some(&self.kmeans)
+    }
+
     fn search(&self, request: &SearchRequest<'_>) -> Result<Neighbors, SearchError> {
         request.check(self.n_features())?;
         let query_at = |query: usize| Query {

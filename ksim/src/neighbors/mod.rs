@@ -18,6 +18,7 @@ pub use kd_tree::KdTree;
 pub use linear::Linear;
 
 use crate::error::SearchError;
+use crate::kmeans::KMeans;
 use crate::matrix::{Matrix, MatrixView};
 
 /// A batch of queries.
@@ -137,6 +138,10 @@ pub trait NeighborIndex: Send + Sync + Debug {
     fn n_rows(&self) -> usize;
     /// Width of a row.
     fn n_features(&self) -> usize;
+    /// The clusters that are probed, where the engine has clusters.
+    fn kmeans(&self) -> Option<&KMeans> {
+        None
+    }
     /// Answers a batch of queries in parallel.
     ///
     /// # Errors
