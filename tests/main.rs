@@ -1,4 +1,5 @@
 //! One binary for all cross-crate tests: it links once.
 
+mod formats_agree;
 mod layering;
 mod repository;
