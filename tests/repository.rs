@@ -59,7 +59,7 @@ fn files_stay_small() {
     assert!(large.is_empty(), "over {MAX_FILE_BYTES} bytes: {large:?}");
     let fixtures = files.iter().filter(|file| {
         let mut folders = file.components().map(|part| part.as_os_str());
-        folders.any(|part| part == "fixtures" || part == "golden" || part == "assets")
+        folders.any(|part| part == "fixtures" || part == "demo")
     });
     let total: u64 = fixtures.map(|file| size(file)).sum();
     assert!(total <= MAX_FIXTURE_BYTES, "fixtures take {total} bytes");
