@@ -1,1 +1,50 @@
-//! Datasets.
+//! Robot-learning datasets as Arrow record batches.
+//!
+//! One data model for every file format: a dataset is a table of steps (see [`schema`]) that is read in
+//! batches through the [`DatasetSource`] trait. Readers exist for Parquet, and with the feature `hdf5` for
+//! D4RL and Minari HDF5 files. This crate knows nothing of scoring, planners or simulators.
+//!
+//! Where to look: [`open`] and [`resolve`] find and open a dataset, [`TransitionReader`] turns its rows into
+//! plain matrices, [`summarize`] computes what `ksim dataset info` prints, [`ParquetSink`] writes.
+//!
+//! ```no_run
+//! use ksim_datasets::{OpenOptions, SearchRoots, TransitionOptions, TransitionReader};
+//!
+//! # fn main() -> Result<(), ksim_datasets::DatasetError> {
+//! let found = ksim_datasets::resolve("antmaze-large-play", &SearchRoots::from_env())?;
+//! let source = ksim_datasets::open(&found.path, &OpenOptions::default())?;
+//! for batch in TransitionReader::new(source.as_ref(), &TransitionOptions::default())? {
+//!     let batch = batch?;
+//!     assert_eq!(batch.states.len(), batch.n_rows() * batch.state_width);
+//! }
+//! # Ok(())
+//! # }
+//! ```
+
+#[cfg(feature = "test-util")]
+pub mod conformance;
+mod episode;
+mod error;
+mod format;
+mod formats;
+mod layout;
+mod matrix;
+mod resolve;
+pub mod schema;
+mod sink;
+mod source;
+mod spec;
+mod summary;
+
+pub use episode::{EpisodeEnd, EpisodeRecord};
+pub use error::{DatasetError, Result};
+pub use format::{Format, OpenOptions, detect, open};
+pub use formats::d4rl::EpisodePolicy;
+pub use formats::parquet::{ColumnNames, ParquetSink};
+pub use layout::{LayoutLeaf, ObservationLayout};
+pub use matrix::{TransitionOptions, TransitionReader, Transitions};
+pub use resolve::{Listed, Resolved, SearchRoots, list, resolve};
+pub use sink::{DatasetSink, copy};
+pub use source::{DatasetInfo, DatasetSource, Scan, Warning};
+pub use spec::{LeafKind, LeafSpec};
+pub use summary::{ColumnSummary, Spread, Summary, summarize};

@@ -1,0 +1,1 @@
+//! What every [`DatasetSource`] and [`DatasetSink`] must hold to. For tests.

@@ -1,0 +1,18 @@
+//! D4RL HDF5: flat arrays, episodes one after another.
+//!
+//! Reading goes in three steps: [`walk`] lists and checks the arrays of the file, [`plan`] cuts the rows into
+//! episodes, [`read`] delivers batches.
+
+mod cut;
+mod policy;
+
+#[cfg(feature = "hdf5")]
+mod plan;
+#[cfg(feature = "hdf5")]
+mod read;
+#[cfg(feature = "hdf5")]
+mod walk;
+
+pub use policy::EpisodePolicy;
+#[cfg(feature = "hdf5")]
+pub(crate) use read::D4rlSource;

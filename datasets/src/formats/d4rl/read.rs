@@ -1,0 +1,280 @@
+//! Delivering a D4RL file in batches.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use arrow::array::RecordBatchReader;
+use arrow::datatypes::{DataType, Field, FieldRef, Schema, SchemaRef};
+use serde_json::Value;
+
+use super::cut::Cut;
+use super::plan::plan;
+use super::policy::EpisodePolicy;
+use super::walk::{
+    ACTIONS, INFOS, NEXT_OBSERVATIONS, OBSERVATIONS, REWARDS, TERMINALS, TIMEOUTS, Walked, walk,
+};
+use crate::episode::EpisodeRecord;
+use crate::error::{DatasetError, Result};
+use crate::format::{Format, OpenOptions};
+use crate::formats::hdf5::{
+    Array, ColumnSource, EpisodeRows, H5File, LeafBuilder, Piece, RowRule, StepColumn, StepScan,
+    StepTable,
+};
+use crate::schema;
+use crate::source::{DatasetInfo, DatasetSource, Scan};
+use crate::spec::LeafSpec;
+
+/// A D4RL file, open.
+pub(crate) struct D4rlSource {
+    path: PathBuf,
+    walked: Walked,
+    cuts: Vec<Cut>,
+    columns: Vec<StepColumn>,
+    schema: SchemaRef,
+    info: DatasetInfo,
+}
+
+impl D4rlSource {
+    /// Opens a file: lists its arrays, reads its flags, cuts it into episodes.
+    ///
+    /// # Errors
+    /// Whatever of that fails.
+    pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Self> {
+        let file = H5File::open(path)?;
+        let mut walked = walk(&file)?;
+        let file_name = path
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned())
+            .unwrap_or_default();
+        let plan = plan(&walked, &file_name, options)?;
+        let columns = columns(&walked, plan.policy);
+        let mut info = DatasetInfo::new(
+            path.file_stem()
+                .map(|stem| stem.to_string_lossy().into_owned())
+                .unwrap_or_default(),
+            Format::D4rlHdf5,
+            path.to_owned(),
+        );
+        info.metadata = std::mem::take(&mut walked.metadata);
+        let schema = table_schema(&columns, &info);
+        let leaf = |name: &str| {
+            schema
+                .field_with_name(name)
+                .ok()
+                .and_then(LeafSpec::of_field)
+        };
+        info.n_episodes = Some(plan.cuts.len() as u64);
+        info.n_steps = Some(plan.cuts.iter().map(|cut| cut.n_steps).sum());
+        info.observation = leaf(schema::OBSERVATION).into_iter().collect();
+        info.action = leaf(schema::ACTION).into_iter().collect();
+        info.episode_rule = plan.rule;
+        info.boundaries_inferred = plan.inferred;
+        info.warnings = plan.warnings;
+        info.warnings.append(&mut walked.warnings);
+        Ok(Self {
+            path: path.to_owned(),
+            walked,
+            cuts: plan.cuts,
+            columns,
+            schema,
+            info,
+        })
+    }
+}
+
+/// The columns of the step table, canonical order.
+fn columns(walked: &Walked, policy: EpisodePolicy) -> Vec<StepColumn> {
+    let mut columns = Vec::new();
+    let mut add = |key: &str, name: &str, rule: RowRule, role: Role| {
+        if let Some(array) = walked.find(key) {
+            columns.push(column(array, name, rule, role, policy));
+        }
+    };
+    add(
+        OBSERVATIONS,
+        schema::OBSERVATION,
+        RowRule::Observation,
+        Role::Values,
+    );
+    add(ACTIONS, schema::ACTION, RowRule::Step, Role::Values);
+    add(REWARDS, schema::REWARD, RowRule::Step, Role::Values);
+    add(TERMINALS, schema::TERMINATED, RowRule::Step, Role::Flag);
+    add(TIMEOUTS, schema::TRUNCATED, RowRule::Step, Role::Flag);
+    add(
+        NEXT_OBSERVATIONS,
+        schema::NEXT_OBSERVATION,
+        RowRule::Step,
+        Role::Other,
+    );
+    let known = [
+        OBSERVATIONS,
+        ACTIONS,
+        REWARDS,
+        TERMINALS,
+        TIMEOUTS,
+        NEXT_OBSERVATIONS,
+    ];
+    for array in walked
+        .arrays
+        .iter()
+        .filter(|array| !known.contains(&array.key()))
+    {
+        add(
+            array.key(),
+            &info_name(array.key()),
+            RowRule::Step,
+            Role::Other,
+        );
+    }
+    columns
+}
+
+/// `info` for the dataset `infos`, `info.a.b` for `infos/a/b` and for any other key.
+fn info_name(key: &str) -> String {
+    let inside = match key.strip_prefix(INFOS) {
+        Some("") => return schema::INFO.to_owned(),
+        Some(rest) if rest.starts_with('/') => &rest[1..],
+        _ => key,
+    };
+    inside
+        .split('/')
+        .fold(schema::INFO.to_owned(), |parent, part| {
+            schema::join_key(&parent, part)
+        })
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Role {
+    /// Observation, action, reward: what `qlearning_dataset` casts to `float32`.
+    Values,
+    Flag,
+    Other,
+}
+
+fn column(
+    array: &Array,
+    name: &str,
+    rule: RowRule,
+    role: Role,
+    policy: EpisodePolicy,
+) -> StepColumn {
+    let element = array.element();
+    let nullable = rule != RowRule::Observation;
+    // D4RL's loader squeezes (N, 1) rewards and flags.
+    let squeezed = matches!(
+        name,
+        schema::REWARD | schema::TERMINATED | schema::TRUNCATED
+    );
+    let shape: &[usize] = if squeezed { &[] } else { array.row_shape() };
+    let data_type = match role {
+        Role::Flag => DataType::Boolean,
+        Role::Values if policy == EpisodePolicy::D4rlQlearning => DataType::Float32,
+        _ => element.data_type(),
+    };
+    let mut field = schema::leaf_field(name, data_type, shape, nullable);
+    if *field.data_type() != element.data_type() && shape.is_empty() {
+        let dtype = element.numpy_name().to_owned();
+        field = field.with_metadata(HashMap::from([(schema::SOURCE_DTYPE.to_owned(), dtype)]));
+    }
+    let source = ColumnSource {
+        key: array.key().to_owned(),
+        element,
+        width: array.width(),
+        rule,
+    };
+    StepColumn {
+        field: Arc::new(field),
+        source,
+    }
+}
+
+fn table_schema(columns: &[StepColumn], info: &DatasetInfo) -> SchemaRef {
+    let mut fields: Vec<FieldRef> = vec![
+        Arc::new(Field::new(schema::EPISODE_INDEX, DataType::Int64, false)),
+        Arc::new(Field::new(schema::STEP_INDEX, DataType::Int64, false)),
+    ];
+    fields.extend(columns.iter().map(|column| Arc::clone(&column.field)));
+    let text = |key: &str, value: String| (key.to_owned(), value);
+    let metadata = HashMap::from([
+        text(schema::VERSION_KEY, schema::VERSION.to_owned()),
+        text(schema::SOURCE_FORMAT, info.format.name().to_owned()),
+        text(schema::SOURCE_ID, info.id.clone()),
+        text(
+            schema::SOURCE_METADATA,
+            Value::Object(info.metadata.clone()).to_string(),
+        ),
+    ]);
+    Arc::new(Schema::new_with_metadata(fields, metadata))
+}
+
+impl DatasetSource for D4rlSource {
+    fn info(&self) -> &DatasetInfo {
+        &self.info
+    }
+
+    fn schema(&self) -> SchemaRef {
+        Arc::clone(&self.schema)
+    }
+
+    fn scan(&self, scan: &Scan) -> Result<Box<dyn RecordBatchReader + Send + '_>> {
+        let scan = StepScan::new(self, &self.schema, &self.columns, scan);
+        Ok(Box::new(scan.map_err(|error| error.in_file(&self.path))?))
+    }
+
+    fn episodes(&self) -> Result<Vec<EpisodeRecord>> {
+        let mut episodes = (self as &dyn DatasetSource).derived_episodes()?;
+        // The cuts know about ends that no flag records.
+        for (episode, cut) in episodes.iter_mut().zip(&self.cuts) {
+            episode.end = cut.end;
+        }
+        Ok(episodes)
+    }
+}
+
+impl StepTable for D4rlSource {
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn episode(&self, place: usize) -> Option<Result<EpisodeRows>> {
+        let cut = self.cuts.get(place)?;
+        let episode_index = i64::try_from(place).unwrap_or(i64::MAX);
+        Some(Ok(EpisodeRows {
+            episode_index,
+            n_steps: cut.n_steps,
+            has_final_obs: cut.has_final_obs,
+        }))
+    }
+
+    fn append(&self, pieces: &[Piece], column: &ColumnSource, to: &mut LeafBuilder) -> Result<()> {
+        let array = self.walked.required(&column.key)?;
+        // Episodes mostly follow each other without a gap: read them in one go.
+        let mut run: (u64, usize) = (0, 0);
+        for piece in pieces {
+            let cut = self
+                .cuts
+                .get(piece.episode)
+                .ok_or_else(|| DatasetError::corrupt("an episode vanished"))?;
+            let end = if column.rule == RowRule::Observation {
+                u64::MAX
+            } else {
+                cut.n_steps
+            };
+            let (n, nulls) = piece.split_at(end);
+            let start = cut.start + piece.from;
+            if run.0 + run.1 as u64 == start {
+                run.1 += n;
+            } else {
+                to.append(array, run.0, run.1)?;
+                run = (start, n);
+            }
+            if nulls > 0 {
+                to.append(array, run.0, run.1)?;
+                to.append_nulls(nulls);
+                run = (start + n as u64, 0);
+            }
+        }
+        to.append(array, run.0, run.1)
+    }
+}

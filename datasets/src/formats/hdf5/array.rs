@@ -1,0 +1,344 @@
+//! One HDF5 dataset, checked before it is read.
+
+use arrow::datatypes::DataType;
+use hdf5::plist::dataset_create::Layout;
+use hdf5::types::{FloatSize, IntSize, TypeDescriptor};
+use hdf5_metno as hdf5;
+
+use super::file::failed;
+use crate::error::{DatasetError, Result};
+
+/// How many times its file an array may declare to be. Deflate, the strongest filter in use, cannot
+/// shrink data by more than 1032; what declares more has no data behind it.
+const MAX_RATIO: u64 = 1100;
+/// Declared bytes that are always believed, so that tiny files do not trip over the ratio.
+const ALWAYS_ALLOWED: u128 = 1 << 20;
+/// Bytes of one chunk, at most: the library unpacks a chunk as a whole.
+const MAX_CHUNK_BYTES: u128 = 1 << 30;
+/// Values in one row, at most (Arrow's list sizes are `i32`).
+const MAX_ROW_WIDTH: u128 = i32::MAX as u128;
+
+/// Type of one value of an array.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Element {
+    I8,
+    I16,
+    I32,
+    I64,
+    U8,
+    U16,
+    U32,
+    U64,
+    F16,
+    F32,
+    F64,
+    /// h5py's bool: an enum over `i8`. Read as `i8`, since damaged files hold other values than 0 and 1.
+    Bool,
+    /// Strings of variable length.
+    Text,
+    /// Variable-length runs of bytes: encoded pictures.
+    Bytes,
+}
+
+impl Element {
+    fn of(descriptor: &TypeDescriptor) -> Option<Self> {
+        Some(match descriptor {
+            TypeDescriptor::Integer(IntSize::U1) => Self::I8,
+            TypeDescriptor::Integer(IntSize::U2) => Self::I16,
+            TypeDescriptor::Integer(IntSize::U4) => Self::I32,
+            TypeDescriptor::Integer(IntSize::U8) => Self::I64,
+            TypeDescriptor::Unsigned(IntSize::U1) => Self::U8,
+            TypeDescriptor::Unsigned(IntSize::U2) => Self::U16,
+            TypeDescriptor::Unsigned(IntSize::U4) => Self::U32,
+            TypeDescriptor::Unsigned(IntSize::U8) => Self::U64,
+            TypeDescriptor::Float(FloatSize::U2) => Self::F16,
+            TypeDescriptor::Float(FloatSize::U4) => Self::F32,
+            TypeDescriptor::Float(FloatSize::U8) => Self::F64,
+            TypeDescriptor::Boolean => Self::Bool,
+            // Any other enum by its numbers.
+            TypeDescriptor::Enum(numbers) => Self::of(&numbers.base_type())?,
+            TypeDescriptor::VarLenUnicode | TypeDescriptor::VarLenAscii => Self::Text,
+            TypeDescriptor::VarLenArray(item)
+                if **item == TypeDescriptor::Unsigned(IntSize::U1) =>
+            {
+                Self::Bytes
+            }
+            _ => return None,
+        })
+    }
+
+    /// The Arrow type that holds it.
+    pub(crate) fn data_type(self) -> DataType {
+        match self {
+            Self::I8 => DataType::Int8,
+            Self::I16 => DataType::Int16,
+            Self::I32 => DataType::Int32,
+            Self::I64 => DataType::Int64,
+            Self::U8 => DataType::UInt8,
+            Self::U16 => DataType::UInt16,
+            Self::U32 => DataType::UInt32,
+            Self::U64 => DataType::UInt64,
+            Self::F16 => DataType::Float16,
+            Self::F32 => DataType::Float32,
+            Self::F64 => DataType::Float64,
+            Self::Bool => DataType::Boolean,
+            Self::Text => DataType::Utf8,
+            Self::Bytes => DataType::Binary,
+        }
+    }
+
+    /// Bytes of one value in memory.
+    fn size(self) -> u128 {
+        match self {
+            Self::I8 | Self::U8 | Self::Bool => 1,
+            Self::I16 | Self::U16 | Self::F16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::I64 | Self::U64 | Self::F64 | Self::Text => 8,
+            Self::Bytes => 16,
+        }
+    }
+
+    /// NumPy's name of the type in the file.
+    pub(crate) fn numpy_name(self) -> &'static str {
+        match self {
+            Self::I8 => "int8",
+            Self::I16 => "int16",
+            Self::I32 => "int32",
+            Self::I64 => "int64",
+            Self::U8 => "uint8",
+            Self::U16 => "uint16",
+            Self::U32 => "uint32",
+            Self::U64 => "uint64",
+            Self::F16 => "float16",
+            Self::F32 => "float32",
+            Self::F64 => "float64",
+            Self::Bool => "bool",
+            Self::Text | Self::Bytes => "object",
+        }
+    }
+}
+
+/// An open array whose rows can be read.
+#[derive(Debug)]
+pub(crate) struct Array {
+    dataset: hdf5::Dataset,
+    key: String,
+    element: Element,
+    n_rows: u64,
+    row_shape: Vec<usize>,
+}
+
+impl Array {
+    /// Opens `name` in `group` and checks type, size, storage and filters. `key` is its path for messages.
+    ///
+    /// # Errors
+    /// What the checks find, each naming `key`.
+    pub(crate) fn open(group: &hdf5::Group, name: &str, key: &str, file_size: u64) -> Result<Self> {
+        let dataset = group.dataset(name).map_err(failed("open", key))?;
+        let shape = dataset
+            .get_shape()
+            .map_err(failed("read the shape of", key))?;
+        let descriptor = dataset.dtype().and_then(|dtype| dtype.to_descriptor());
+        let descriptor = descriptor.map_err(failed("read the type of", key))?;
+        let wrong = |expected| DatasetError::WrongType {
+            key: key.to_owned(),
+            actual: descriptor.to_string(),
+            expected,
+        };
+        let element = Element::of(&descriptor)
+            .ok_or_else(|| wrong("numbers, flags, text or variable-length bytes"))?;
+        let Some((&n_rows, row_shape)) = shape.split_first() else {
+            let (actual, expected) = (Vec::new(), "an array, not a scalar".to_owned());
+            return Err(DatasetError::ShapeMismatch {
+                key: key.to_owned(),
+                actual,
+                expected,
+            });
+        };
+        check_size(key, &shape, element, file_size)?;
+        check_storage(&dataset, key, element, file_size)?;
+        Ok(Self {
+            key: key.to_owned(),
+            element,
+            n_rows: n_rows as u64,
+            row_shape: row_shape.to_vec(),
+            dataset,
+        })
+    }
+
+    /// Path in the file.
+    pub(crate) fn key(&self) -> &str {
+        &self.key
+    }
+
+    /// Type of its values.
+    pub(crate) fn element(&self) -> Element {
+        self.element
+    }
+
+    /// Length of the first axis.
+    pub(crate) fn n_rows(&self) -> u64 {
+        self.n_rows
+    }
+
+    /// Shape of one row.
+    pub(crate) fn row_shape(&self) -> &[usize] {
+        &self.row_shape
+    }
+
+    /// Values in one row.
+    pub(crate) fn width(&self) -> usize {
+        self.row_shape.iter().product()
+    }
+
+    /// Whether a row is one value, or one value in brackets.
+    pub(crate) fn is_column(&self) -> bool {
+        matches!(self.row_shape.as_slice(), [] | [1])
+    }
+
+    /// Appends rows `start..start + n` to `values`.
+    ///
+    /// # Errors
+    /// The rows are not there, or the library cannot unpack or convert them.
+    pub(crate) fn read_into<T>(&self, start: u64, n: usize, values: &mut Vec<T>) -> Result<()>
+    where
+        T: hdf5::H5Type + Copy + Default,
+    {
+        if n == 0 {
+            return Ok(());
+        }
+        let read = failed("read", &self.key);
+        if start == 0 && n as u64 == self.n_rows {
+            let before = values.len();
+            values.resize(before + n * self.width(), T::default());
+            self.dataset
+                .read_into_raw(&mut values[before..])
+                .map_err(read)?;
+            return Ok(());
+        }
+        values.extend(self.read_slice::<T>(start, n)?);
+        Ok(())
+    }
+
+    /// Rows `start..start + n` of any type.
+    ///
+    /// # Errors
+    /// As for [`Self::read_into`].
+    pub(crate) fn read_slice<T: hdf5::H5Type>(&self, start: u64, n: usize) -> Result<Vec<T>> {
+        let outside = start
+            .checked_add(n as u64)
+            .is_none_or(|end| end > self.n_rows);
+        if outside {
+            let (key, actual, expected) = (
+                self.key.clone(),
+                self.n_rows,
+                start.saturating_add(n as u64),
+            );
+            return Err(DatasetError::LengthMismatch {
+                key,
+                actual,
+                expected,
+            });
+        }
+        let start =
+            usize::try_from(start).map_err(|_| DatasetError::corrupt("more rows than memory"))?;
+        let mut axes = vec![hdf5::SliceOrIndex::from(start..start + n)];
+        axes.extend(self.row_shape.iter().map(|_| hdf5::SliceOrIndex::from(..)));
+        let slice = self
+            .dataset
+            .read_slice::<T, _, ndarray::IxDyn>(hdf5::Hyperslab::from(axes));
+        Ok(slice
+            .map_err(failed("read", &self.key))?
+            .into_iter()
+            .collect())
+    }
+}
+
+fn check_size(key: &str, shape: &[usize], element: Element, file_size: u64) -> Result<()> {
+    let values = shape
+        .iter()
+        .try_fold(1u128, |n, &dim| n.checked_mul(dim as u128));
+    let declared = values
+        .and_then(|n| n.checked_mul(element.size()))
+        .unwrap_or(u128::MAX);
+    let allowed = u128::from(file_size) * u128::from(MAX_RATIO) + ALWAYS_ALLOWED;
+    let row = shape[1..]
+        .iter()
+        .try_fold(1u128, |n, &dim| n.checked_mul(dim as u128));
+    if declared > allowed || row.is_none_or(|row| row > MAX_ROW_WIDTH) {
+        return Err(DatasetError::DeclaredSize {
+            key: key.to_owned(),
+            declared,
+            file_size,
+            max_ratio: MAX_RATIO,
+        });
+    }
+    Ok(())
+}
+
+/// Refuses data outside the file, unknown filters and giant chunks.
+fn check_storage(
+    dataset: &hdf5::Dataset,
+    key: &str,
+    element: Element,
+    file_size: u64,
+) -> Result<()> {
+    let storage = dataset
+        .create_plist()
+        .map_err(failed("read the storage of", key))?;
+    let layout = storage
+        .get_layout()
+        .map_err(failed("read the storage of", key))?;
+    match layout {
+        Layout::Compact => Ok(()),
+        Layout::Contiguous => {
+            let external = storage
+                .get_external()
+                .map_err(failed("read the storage of", key))?;
+            if external.is_empty() {
+                return Ok(());
+            }
+            Err(DatasetError::Unsupported {
+                what: format!("\"{key}\" is stored in another file"),
+            })
+        }
+        Layout::Chunked => {
+            let chunk = storage
+                .get_chunk()
+                .map_err(failed("read the chunks of", key))?
+                .unwrap_or_default();
+            let bytes = chunk
+                .iter()
+                .try_fold(element.size(), |n, &dim| n.checked_mul(dim as u128));
+            let declared = bytes.unwrap_or(u128::MAX);
+            if declared > MAX_CHUNK_BYTES {
+                let key = key.to_owned();
+                return Err(DatasetError::DeclaredSize {
+                    key,
+                    declared,
+                    file_size,
+                    max_ratio: MAX_RATIO,
+                });
+            }
+            check_filters(&storage, key)
+        }
+        Layout::Virtual => Err(DatasetError::Unsupported {
+            what: format!("\"{key}\" is a virtual dataset over other files"),
+        }),
+    }
+}
+
+fn check_filters(storage: &hdf5::plist::DatasetCreate, key: &str) -> Result<()> {
+    for filter in storage
+        .get_filters()
+        .map_err(failed("read the filters of", key))?
+    {
+        if !filter.is_available() {
+            return Err(DatasetError::UnknownFilter {
+                key: key.to_owned(),
+                filter: filter.id(),
+            });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,19 @@
+//! What the HDF5 readers share: checked opening of files and arrays, typed reading, paging.
+//!
+//! libhdf5 is C and these files come from strangers. So before it touches data: links out of the file,
+//! external and virtual storage are refused, filters are checked by number, and declared sizes are bounded
+//! by the size of the file.
+
+mod array;
+mod attributes;
+mod builder;
+mod file;
+mod pager;
+mod scan;
+
+pub(crate) use array::{Array, Element};
+pub(crate) use attributes::{attributes, json_value};
+pub(crate) use builder::LeafBuilder;
+pub(crate) use file::{H5File, MemberKind, failed, join, members};
+pub(crate) use pager::Piece;
+pub(crate) use scan::{ColumnSource, EpisodeRows, RowRule, StepColumn, StepScan, StepTable};

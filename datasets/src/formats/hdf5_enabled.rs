@@ -1,0 +1,24 @@
+//! The HDF5 readers of a build with the feature `hdf5`.
+
+use std::path::Path;
+
+use crate::error::Result;
+use crate::format::OpenOptions;
+use crate::formats::{d4rl, minari};
+use crate::source::DatasetSource;
+
+/// Opens a D4RL file.
+///
+/// # Errors
+/// Whatever is wrong with the file.
+pub(crate) fn open_d4rl(path: &Path, options: &OpenOptions) -> Result<Box<dyn DatasetSource>> {
+    Ok(Box::new(d4rl::D4rlSource::open(path, options)?))
+}
+
+/// Opens a Minari dataset folder.
+///
+/// # Errors
+/// Whatever is wrong with the dataset.
+pub(crate) fn open_minari(path: &Path, options: &OpenOptions) -> Result<Box<dyn DatasetSource>> {
+    Ok(Box::new(minari::MinariSource::open(path, options)?))
+}

@@ -1,0 +1,17 @@
+//! Minari dataset folders: `data/metadata.json` beside the episodes.
+//!
+//! Leaves of nested observations and actions come in this order: `achieved_goal` first, then the other keys
+//! by name (bytewise), `desired_goal` last; tuple elements by number. So AntMaze gives `achieved_goal` (2),
+//! `observation` (27), `desired_goal` (2).
+
+pub(crate) mod json;
+pub(crate) mod metadata;
+mod space;
+
+#[cfg(feature = "hdf5")]
+mod read;
+#[cfg(feature = "hdf5")]
+mod structure;
+
+#[cfg(feature = "hdf5")]
+pub(crate) use read::MinariSource;
