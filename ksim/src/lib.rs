@@ -24,7 +24,7 @@
 //! |---|---|
 //! | `matrix`, `trajectories` | the numbers: rows held as pairs of f32, episodes |
 //! | `normalizer` | z-scores by the reference's statistics |
-//! | `kmeans` | greedy k-means++, Lloyd with Hamerly's bounds |
+//! | `kmeans` | greedy k-means++, Lloyd with Yinyang bounds |
 //! | `neighbors` | one search trait, four engines |
 //! | `score` | K-Sim, its aggregates and intervals |
 

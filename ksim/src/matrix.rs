@@ -190,6 +190,23 @@ impl Matrix {
         &self.high[row * self.n_features..][..self.n_features]
     }
 
+    /// A copy of rows 0, `step`, 2 `step`, ….
+    pub(crate) fn every(&self, step: usize) -> Self {
+        let thin = |plane: &[f32]| -> Vec<f32> {
+            plane
+                .chunks_exact(self.n_features)
+                .step_by(step)
+                .flatten()
+                .copied()
+                .collect()
+        };
+        Self {
+            high: thin(&self.high),
+            low: thin(&self.low),
+            n_features: self.n_features,
+        }
+    }
+
     /// Replaces every value by `map(column, value)`, in place; values that stop being `f32` bring
     /// the second plane into being.
     pub(crate) fn map_in_place(&mut self, map: impl Fn(usize, f64) -> f64 + Sync) {
@@ -223,7 +240,7 @@ impl Matrix {
 
 /// Rows that parallel passes take at a time. Fixed: partial sums are combined in the order of
 /// these chunks, which makes every result independent of the number of threads.
-pub(crate) const CHUNK_ROWS: usize = 8192;
+pub(crate) const CHUNK_ROWS: usize = 2048;
 
 /// Σ (x_i − q_i)² over four interleaved partial sums, the order of which is part of the contract
 /// of [`Matrix::squared_distance`].
@@ -247,6 +264,17 @@ fn sum_of_squares(query: &[f64], value: impl Fn(usize) -> f64) -> f64 {
 /// Squared L2 distance between two plain rows, in the order of [`Matrix::squared_distance`].
 pub(crate) fn squared_distance(a: &[f64], b: &[f64]) -> f64 {
     sum_of_squares(b, |i| a[i])
+}
+
+/// The largest L2 norm of any row: what error bounds of f32 passes grow with.
+pub(crate) fn max_norm(data: &Matrix) -> f64 {
+    use rayon::prelude::*;
+    let origin = vec![0.0; data.n_features()];
+    (0..data.n_rows())
+        .into_par_iter()
+        .map(|row| data.squared_distance(row, &origin))
+        .reduce(|| 0.0, f64::max)
+        .sqrt()
 }
 
 fn check_shape(values: usize, n_features: usize) -> Result<(), DataError> {

@@ -1,11 +1,11 @@
 //! k-means: the fitted model.
 
-mod hamerly;
 mod init;
 #[cfg(feature = "linfa")]
 mod linfa_backend;
 mod params;
 mod scan;
+mod yinyang;
 
 pub use params::{KMeansBackend, KMeansParams};
 

@@ -1,13 +1,13 @@
 //! Parameters of a fit, and their check.
 
-use super::{KMeans, hamerly, init};
+use super::{KMeans, init, yinyang};
 use crate::error::KMeansError;
 use crate::matrix::Matrix;
 
 /// Which code fits the centers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum KMeansBackend {
-    /// Our own: greedy k-means++ and Lloyd's iteration with Hamerly's bounds.
+    /// Our own: greedy k-means++ and Lloyd's iteration with Yinyang bounds.
     #[default]
     Ksim,
     /// linfa's `KMeans`, as an independent reference.
@@ -15,10 +15,20 @@ pub enum KMeansBackend {
     Linfa,
 }
 
+/// Rows per cluster that a sample must have at the least.
+const SAMPLE_ROWS_PER_CLUSTER: usize = 1000;
+
+/// Every how many rows a sample for the start is taken; `None` where the data are too few to gain
+/// by it. A fit of an eighth of the rows costs an eighth, and leaves the full fit the last steps.
+fn sample_step(n_rows: usize, n_clusters: usize) -> Option<usize> {
+    const STEP: usize = 8;
+    (n_rows / STEP >= n_clusters * SAMPLE_ROWS_PER_CLUSTER).then_some(STEP)
+}
+
 /// How to fit: setters only store, [`fit`](Self::fit) checks.
 ///
 /// The defaults are the paper's and scikit-learn's: one k-means++ start, at most 300 iterations,
-/// tolerance 1e-4, seed 0.
+/// tolerance 1e-4, seed 0. Where there are enough rows the start is a fit of every eighth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KMeansParams {
     pub(super) n_clusters: usize,
@@ -95,8 +105,15 @@ impl KMeansParams {
         self.check(data.n_rows())?;
         match self.backend {
             KMeansBackend::Ksim => {
-                let start = init::plus_plus(data, self.n_clusters, self.seed);
-                Ok(hamerly::fit(data, start, self))
+                let start = match sample_step(data.n_rows(), self.n_clusters) {
+                    Some(step) => {
+                        let sample = data.every(step);
+                        let start = init::plus_plus(&sample, self.n_clusters, self.seed);
+                        yinyang::fit(&sample, start, self).centers
+                    }
+                    None => init::plus_plus(data, self.n_clusters, self.seed),
+                };
+                Ok(yinyang::fit(data, start, self))
             }
             #[cfg(feature = "linfa")]
             KMeansBackend::Linfa => super::linfa_backend::fit(data, self),

@@ -5,50 +5,85 @@
 //! ‖x − c‖² = ‖x‖² + 2s. In f32 over w columns s is off by at most
 //! (w + 5)u(‖x‖ + ‖c‖)‖c‖, u = 2⁻²⁴, counting the rounding of x and c themselves.
 
+use std::ops::Range;
+
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::nearest_center;
-use crate::matrix::{CHUNK_ROWS, Matrix};
+use crate::matrix::{CHUNK_ROWS, Matrix, squared_distance};
 use crate::tiles::{RowSet, TILE_ROWS, new_tile, pack};
 
 /// Centers scored together; with as many accumulators no multiply-add waits for another.
-const GROUP: usize = 8;
+const PACK: usize = 8;
 
-/// What is known of a row after a pass.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Nearest {
-    pub(super) label: u32,
-    /// At least the distance to the label's center.
-    pub(super) upper: f64,
-    /// At most the distance to any other center.
-    pub(super) lower: f64,
-}
-
-/// Centers laid out for the pass.
+/// Centers laid out for the pass, in packs of [`PACK`] and, for the bounds of the iteration, in at
+/// most eight groups of packs.
 #[derive(Debug)]
 pub(super) struct PackedCenters<'a> {
     exact: &'a [f64],
     width: usize,
-    /// `[group][column][GROUP]`, negated.
+    /// `[pack][column][PACK]`, negated.
     negated: Vec<f32>,
-    /// ‖c‖²/2; infinite for the padding of the last group.
+    /// ‖c‖²/2; infinite for the padding of the last pack.
     half_norms: Vec<f32>,
     max_norm: f64,
 }
 
+/// f32 scores of one row against some of the centers.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct RowScores {
+    pub(super) label: u32,
+    pub(super) best: f32,
+    pub(super) second: f32,
+}
+
+/// Turns scores of one row into bounds on distances.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct DistanceBounds {
+    squared_norm: f64,
+    slack: f64,
+}
+
+impl DistanceBounds {
+    pub(super) fn at_least(&self, score: f32) -> f64 {
+        (self.squared_norm + 2.0 * f64::from(score) - self.slack)
+            .max(0.0)
+            .sqrt()
+    }
+
+    pub(super) fn at_most(&self, score: f32) -> f64 {
+        (self.squared_norm + 2.0 * f64::from(score) + self.slack)
+            .max(0.0)
+            .sqrt()
+    }
+}
+
+/// What f64 says of one row.
+#[derive(Debug)]
+pub(super) struct ExactBounds {
+    pub(super) label: u32,
+    /// Distance to the label's center.
+    pub(super) distance: f64,
+    /// Per group, the distance to its nearest center that is not the label.
+    pub(super) groups: Vec<f64>,
+}
+
 impl<'a> PackedCenters<'a> {
+    /// Groups at most: one bit of a byte each.
+    pub(super) const MAX_GROUPS: usize = 8;
+
     pub(super) fn new(exact: &'a [f64], width: usize) -> Self {
-        let n_groups = (exact.len() / width).div_ceil(GROUP);
-        let mut negated = vec![0.0; n_groups * width * GROUP];
-        let mut half_norms = vec![f32::INFINITY; n_groups * GROUP];
+        let n_packs = (exact.len() / width).div_ceil(PACK);
+        let mut negated = vec![0.0; n_packs * width * PACK];
+        let mut half_norms = vec![f32::INFINITY; n_packs * PACK];
         let mut max_norm = 0.0f64;
         for (c, center) in exact.chunks_exact(width).enumerate() {
             let squared: f64 = center.iter().map(|v| v * v).sum();
             half_norms[c] = (squared / 2.0) as f32;
             max_norm = max_norm.max(squared.sqrt());
             for (column, &value) in center.iter().enumerate() {
-                negated[((c / GROUP) * width + column) * GROUP + c % GROUP] = -value as f32;
+                negated[((c / PACK) * width + column) * PACK + c % PACK] = -value as f32;
             }
         }
         Self {
@@ -60,60 +95,87 @@ impl<'a> PackedCenters<'a> {
         }
     }
 
-    /// One center, in f64.
-    pub(super) fn center(&self, label: usize) -> &[f64] {
-        &self.exact[label * self.width..][..self.width]
+    pub(super) fn exact(&self) -> &[f64] {
+        self.exact
     }
 
-    /// Calls `found(position in rows, what was found)` for every row of the set.
-    pub(super) fn nearest(
-        &self,
-        data: &Matrix,
-        rows: RowSet<'_>,
-        found: &mut dyn FnMut(usize, Nearest),
-    ) {
-        Arch::new().dispatch(Pass {
-            centers: self,
-            data,
-            rows,
-            found,
-        });
+    pub(super) fn max_norm(&self) -> f64 {
+        self.max_norm
     }
 
-    /// Turns the scores of one row into a verdict.
-    fn verdict(&self, data: &Matrix, row: usize, scores: Scores) -> Nearest {
+    fn n_packs(&self) -> usize {
+        self.half_norms.len() / PACK
+    }
+
+    /// Centers in a group, a whole number of packs.
+    pub(super) fn group_size(n_clusters: usize) -> usize {
+        n_clusters.div_ceil(PACK).div_ceil(Self::MAX_GROUPS) * PACK
+    }
+
+    fn size(&self) -> usize {
+        Self::group_size(self.exact.len() / self.width)
+    }
+
+    pub(super) fn n_groups(&self) -> usize {
+        (self.exact.len() / self.width).div_ceil(self.size())
+    }
+
+    pub(super) fn group_of(&self, label: usize) -> usize {
+        label / self.size()
+    }
+
+    /// The packs of one group.
+    pub(super) fn packs(&self, group: usize) -> Range<usize> {
+        let packs = self.size() / PACK;
+        group * packs..((group + 1) * packs).min(self.n_packs())
+    }
+
+    /// Half the distance from each center to the nearest other, a hair less for rounding.
+    pub(super) fn half_gaps(&self) -> Vec<f64> {
+        let rows: Vec<&[f64]> = self.exact.chunks_exact(self.width).collect();
+        rows.iter()
+            .enumerate()
+            .map(|(a, center)| {
+                let others = rows.iter().enumerate().filter(|(b, _)| *b != a);
+                let nearest = others
+                    .map(|(_, o)| squared_distance(center, o))
+                    .fold(f64::INFINITY, f64::min);
+                nearest.sqrt() / 2.0 * (1.0 - 1e-6)
+            })
+            .collect()
+    }
+
+    /// Bounds that hold if the best score is the smallest beyond the rounding of f32, else `None`.
+    pub(super) fn certain(&self, scores: &RowScores, squared_norm: f32) -> Option<DistanceBounds> {
         let unit = f64::from(f32::EPSILON) / 2.0;
-        let squared_norm = f64::from(scores.squared_norm);
-        let (best, second) = (f64::from(scores.best), f64::from(scores.second));
+        let squared_norm = f64::from(squared_norm);
         let w = self.width as f64;
         let doubt = (w + 8.0) * unit * (squared_norm.sqrt() + self.max_norm) * self.max_norm;
         let slack = 2.0 * doubt + (w + 8.0) * unit * squared_norm;
+        let gap = f64::from(scores.second) - f64::from(scores.best);
         // Written so that NaN and infinity, which an overflow could bring, count as doubt.
-        let certain = second - best > 2.0 * doubt && slack.is_finite();
-        if certain {
-            let upper = (squared_norm + 2.0 * best + slack).max(0.0).sqrt();
-            let lower = (squared_norm + 2.0 * second - slack).max(0.0).sqrt();
-            return Nearest {
-                label: scores.label,
-                upper,
-                lower,
-            };
-        }
+        (gap > 2.0 * doubt && slack.is_finite()).then_some(DistanceBounds {
+            squared_norm,
+            slack,
+        })
+    }
+
+    /// The verdict of f64, against all centers.
+    pub(super) fn exact_bounds(&self, data: &Matrix, row: usize) -> ExactBounds {
         let mut point = vec![0.0; self.width];
         data.read_row(row, &mut point);
         let (label, squared) = nearest_center(self.exact, &point);
-        let others = self
-            .exact
-            .chunks_exact(self.width)
-            .zip(0..)
-            .filter(|(_, c)| *c != label);
-        let lower = others
-            .map(|(center, _)| crate::matrix::squared_distance(center, &point))
-            .fold(f64::INFINITY, f64::min);
-        Nearest {
+        let mut groups = vec![f64::INFINITY; self.n_groups()];
+        for (c, center) in self.exact.chunks_exact(self.width).enumerate() {
+            if c != label as usize {
+                let group = &mut groups[self.group_of(c)];
+                *group = group.min(squared_distance(center, &point).sqrt());
+            }
+        }
+        ExactBounds {
             label,
-            upper: squared.sqrt(),
-            lower: lower.sqrt(),
+            distance: squared.sqrt(),
+            groups,
         }
     }
 }
@@ -126,117 +188,149 @@ pub(super) fn assign(data: &Matrix, centers: &[f64]) -> Vec<u32> {
         .par_chunks_mut(CHUNK_ROWS)
         .enumerate()
         .for_each(|(chunk, labels)| {
-            let start = chunk * CHUNK_ROWS;
-            let rows = RowSet::Range {
-                start,
-                end: start + labels.len(),
-            };
-            packed.nearest(data, rows, &mut |at, nearest| labels[at] = nearest.label);
+            Arch::new().dispatch(Assign {
+                packed: &packed,
+                data,
+                start: chunk * CHUNK_ROWS,
+                labels,
+            });
         });
     labels
 }
 
-/// f32 scores of one row.
-#[derive(Debug, Clone, Copy)]
-struct Scores {
-    label: u32,
-    best: f32,
-    second: f32,
-    squared_norm: f32,
-}
-
-/// The same for a tile, one array per field.
-struct TileScores {
-    label: [u32; TILE_ROWS],
-    best: [f32; TILE_ROWS],
-    second: [f32; TILE_ROWS],
-    squared_norm: [f32; TILE_ROWS],
-}
-
-struct Pass<'a> {
-    centers: &'a PackedCenters<'a>,
+struct Assign<'a> {
+    packed: &'a PackedCenters<'a>,
     data: &'a Matrix,
-    rows: RowSet<'a>,
-    found: &'a mut dyn FnMut(usize, Nearest),
+    start: usize,
+    labels: &'a mut [u32],
 }
 
-impl WithSimd for Pass<'_> {
+impl WithSimd for Assign<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let mut tile = new_tile(self.centers.width);
-        let mut scores = TileScores {
-            label: [0; TILE_ROWS],
-            best: [0.0; TILE_ROWS],
-            second: [0.0; TILE_ROWS],
-            squared_norm: [0.0; TILE_ROWS],
+        let mut tile = new_tile(self.data.n_features());
+        let (mut scores, mut norms) = (TileScores::default(), [0.0; TILE_ROWS]);
+        let rows = RowSet::Range {
+            start: self.start,
+            end: self.start + self.labels.len(),
         };
-        let mut start = 0;
-        while start < self.rows.len() {
-            let count = TILE_ROWS.min(self.rows.len() - start);
-            pack(self.data, self.rows, start, count, &mut tile);
-            for from in (0..count).step_by(S::F32_LANES) {
-                score_rows(simd, self.centers, &tile, from, &mut scores);
-            }
-            for at in 0..count {
-                let row_scores = Scores {
-                    label: scores.label[at],
-                    best: scores.best[at],
-                    second: scores.second[at],
-                    squared_norm: scores.squared_norm[at],
+        for (index, labels) in self.labels.chunks_mut(TILE_ROWS).enumerate() {
+            pack(self.data, rows, index * TILE_ROWS, labels.len(), &mut tile);
+            squared_norms(simd, &tile, &mut norms);
+            self.packed
+                .score_tile(simd, &tile, 0..self.packed.n_packs(), &mut scores);
+            for (at, label) in labels.iter_mut().enumerate() {
+                let row = self.start + index * TILE_ROWS + at;
+                *label = match self.packed.certain(&scores.of(at), norms[at]) {
+                    Some(_) => scores.label[at],
+                    None => self.packed.exact_bounds(self.data, row).label,
                 };
-                let row = self.rows.row(start + at) as usize;
-                (self.found)(start + at, self.centers.verdict(self.data, row, row_scores));
             }
-            start += count;
         }
     }
 }
 
-/// Scores of one vector of rows, from place `from` of the tile, against all centers.
+/// The same centers in an order that puts near ones side by side, so that the groups of the
+/// iteration are compact: each group starts at the first center left and takes the nearest to it.
+pub(super) fn neighbors_together(centers: &[f64], width: usize) -> Vec<f64> {
+    let rows: Vec<&[f64]> = centers.chunks_exact(width).collect();
+    let size = PackedCenters::group_size(rows.len());
+    let mut left: Vec<usize> = (0..rows.len()).collect();
+    let mut ordered = Vec::with_capacity(centers.len());
+    while let Some(&first) = left.first() {
+        left.sort_by(|&a, &b| {
+            let distance = |row: usize| squared_distance(rows[row], rows[first]);
+            distance(a).total_cmp(&distance(b)).then(a.cmp(&b))
+        });
+        for row in left.drain(..size.min(left.len())) {
+            ordered.extend_from_slice(rows[row]);
+        }
+        left.sort_unstable();
+    }
+    ordered
+}
+
+/// The scores of a tile, one array per field.
+#[derive(Debug, Clone)]
+pub(super) struct TileScores {
+    label: [u32; TILE_ROWS],
+    best: [f32; TILE_ROWS],
+    second: [f32; TILE_ROWS],
+}
+
+impl Default for TileScores {
+    fn default() -> Self {
+        Self {
+            label: [0; TILE_ROWS],
+            best: [0.0; TILE_ROWS],
+            second: [0.0; TILE_ROWS],
+        }
+    }
+}
+
+impl TileScores {
+    pub(super) fn of(&self, at: usize) -> RowScores {
+        RowScores {
+            label: self.label[at],
+            best: self.best[at],
+            second: self.second[at],
+        }
+    }
+}
+
+/// Squared norms of the tile's rows.
 #[inline(always)]
-fn score_rows<S: Simd>(
-    simd: S,
-    centers: &PackedCenters<'_>,
-    tile: &[f32],
-    from: usize,
-    scores: &mut TileScores,
-) {
-    let lanes = from..from + S::F32_LANES;
-    let column_at = |column: usize| {
-        let (vectors, _) = S::as_simd_f32s(&tile[column * TILE_ROWS..][lanes.clone()]);
-        vectors[0]
-    };
-    let mut best = simd.splat_f32s(f32::INFINITY);
-    let mut second = best;
-    let mut label = simd.splat_u32s(0);
-    let groups = centers.negated.chunks_exact(centers.width * GROUP);
-    for (group, (negated, half_norms)) in groups
-        .zip(centers.half_norms.chunks_exact(GROUP))
-        .enumerate()
-    {
-        let mut sums: [S::f32s; GROUP] = std::array::from_fn(|c| simd.splat_f32s(half_norms[c]));
-        for (column, values) in negated.chunks_exact(GROUP).enumerate() {
-            let x = column_at(column);
-            for c in 0..GROUP {
-                sums[c] = simd.mul_add_f32s(x, simd.splat_f32s(values[c]), sums[c]);
+pub(super) fn squared_norms<S: Simd>(simd: S, tile: &[f32], norms: &mut [f32; TILE_ROWS]) {
+    for from in (0..TILE_ROWS).step_by(S::F32_LANES) {
+        let mut norm = simd.splat_f32s(0.0);
+        for column in tile.chunks_exact(TILE_ROWS) {
+            let x = S::as_simd_f32s(&column[from..from + S::F32_LANES]).0[0];
+            norm = simd.mul_add_f32s(x, x, norm);
+        }
+        S::as_mut_simd_f32s(&mut norms[from..from + S::F32_LANES]).0[0] = norm;
+    }
+}
+
+impl PackedCenters<'_> {
+    /// Scores of the tile's rows against the centers of `packs`.
+    #[inline(always)]
+    pub(super) fn score_tile<S: Simd>(
+        &self,
+        simd: S,
+        tile: &[f32],
+        packs: Range<usize>,
+        scores: &mut TileScores,
+    ) {
+        for from in (0..TILE_ROWS).step_by(S::F32_LANES) {
+            let lanes = from..from + S::F32_LANES;
+            let mut best = simd.splat_f32s(f32::INFINITY);
+            let mut second = best;
+            let mut label = simd.splat_u32s(0);
+            for pack in packs.clone() {
+                let negated = &self.negated[pack * self.width * PACK..][..self.width * PACK];
+                let half_norms = &self.half_norms[pack * PACK..][..PACK];
+                let mut sums: [S::f32s; PACK] =
+                    std::array::from_fn(|c| simd.splat_f32s(half_norms[c]));
+                let (values, _) = negated.as_chunks::<PACK>();
+                for (column, values) in tile.chunks_exact(TILE_ROWS).zip(values) {
+                    let x = S::as_simd_f32s(&column[lanes.clone()]).0[0];
+                    for c in 0..PACK {
+                        sums[c] = simd.mul_add_f32s(x, simd.splat_f32s(values[c]), sums[c]);
+                    }
+                }
+                for (c, &score) in sums.iter().enumerate() {
+                    let better = simd.less_than_f32s(score, best);
+                    second = simd.select_f32s(better, best, simd.min_f32s(second, score));
+                    best = simd.select_f32s(better, score, best);
+                    let number = simd.splat_u32s((pack * PACK + c) as u32);
+                    label = simd.select_u32s(better, number, label);
+                }
             }
-        }
-        for (c, &score) in sums.iter().enumerate() {
-            let better = simd.less_than_f32s(score, best);
-            second = simd.select_f32s(better, best, simd.min_f32s(second, score));
-            best = simd.select_f32s(better, score, best);
-            label = simd.select_u32s(better, simd.splat_u32s((group * GROUP + c) as u32), label);
+            S::as_mut_simd_f32s(&mut scores.best[lanes.clone()]).0[0] = best;
+            S::as_mut_simd_f32s(&mut scores.second[lanes.clone()]).0[0] = second;
+            S::as_mut_simd_u32s(&mut scores.label[lanes.clone()]).0[0] = label;
         }
     }
-    let mut norm = simd.splat_f32s(0.0);
-    for column in 0..centers.width {
-        let x = column_at(column);
-        norm = simd.mul_add_f32s(x, x, norm);
-    }
-    S::as_mut_simd_f32s(&mut scores.best[lanes.clone()]).0[0] = best;
-    S::as_mut_simd_f32s(&mut scores.second[lanes.clone()]).0[0] = second;
-    S::as_mut_simd_f32s(&mut scores.squared_norm[lanes.clone()]).0[0] = norm;
-    S::as_mut_simd_u32s(&mut scores.label[lanes.clone()]).0[0] = label;
 }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::scan::{self, BATCH_QUERIES, Query};
 use super::{NeighborIndex, Neighbors, SearchRequest};
 use crate::error::SearchError;
-use crate::matrix::Matrix;
+use crate::matrix::{Matrix, max_norm};
 use crate::tiles::RowSet;
 
 /// Exact search for batches of queries: vectorised f32 distances with a proven error bound discard
@@ -21,7 +21,7 @@ pub struct Blocked {
 impl Blocked {
     /// Indexes `data`: one pass for the largest norm, no copy.
     pub fn new(data: Arc<Matrix>) -> Self {
-        let max_norm = scan::max_norm(&data);
+        let max_norm = max_norm(&data);
         Self { data, max_norm }
     }
 }

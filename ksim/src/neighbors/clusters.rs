@@ -8,7 +8,7 @@ use super::scan::{self, BATCH_QUERIES, Query};
 use super::{NeighborIndex, Neighbors, SearchRequest};
 use crate::error::SearchError;
 use crate::kmeans::KMeans;
-use crate::matrix::Matrix;
+use crate::matrix::{Matrix, max_norm};
 use crate::tiles::RowSet;
 
 /// One-probe search over k-means clusters ("Similarity Measurement" of the Curiosity-Diffuser
@@ -51,7 +51,7 @@ impl Clusters {
             rows[next[label as usize]] = row as u32;
             next[label as usize] += 1;
         }
-        let max_norm = scan::max_norm(&data);
+        let max_norm = max_norm(&data);
         Self {
             data,
             kmeans,

@@ -161,11 +161,15 @@ fn rank(
         .map(|row| (data.squared_distance(row as usize, query), row))
         .collect();
     let by_distance = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-    if ranked.len() > n {
-        ranked.select_nth_unstable_by(n - 1, by_distance);
-        ranked.truncate(n);
+    // A tree gives its candidates in order: looking costs less than sorting them again.
+    if !ranked.is_sorted_by(|a, b| by_distance(a, b).is_le()) {
+        if ranked.len() > 2 * n {
+            ranked.select_nth_unstable_by(n - 1, by_distance);
+            ranked.truncate(n);
+        }
+        ranked.sort_unstable_by(by_distance);
     }
-    ranked.sort_unstable_by(by_distance);
+    ranked.truncate(n);
     ranked
         .into_iter()
         .map(|(squared, row)| Neighbor {

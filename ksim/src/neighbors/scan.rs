@@ -53,17 +53,6 @@ pub(super) fn nearest(
         .collect()
 }
 
-/// The largest L2 norm of any row, for the error bound.
-pub(super) fn max_norm(data: &Matrix) -> f64 {
-    use rayon::prelude::*;
-    let origin = vec![0.0; data.n_features()];
-    (0..data.n_rows())
-        .into_par_iter()
-        .map(|row| data.squared_distance(row, &origin))
-        .reduce(|| 0.0, f64::max)
-        .sqrt()
-}
-
 /// Error bound of the f32 distances of one query.
 #[derive(Debug, Clone, Copy)]
 struct Bound {
