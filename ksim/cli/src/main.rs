@@ -1,2 +1,28 @@
-//! The ksim command.
-fn main() {}
+//! The `ksim` command: scores rollouts against a dataset, and shows what a dataset holds.
+
+mod atomic;
+mod centers;
+mod cli;
+mod commands;
+mod context;
+mod data_args;
+mod document;
+mod load;
+mod outcome;
+mod output;
+mod per_step;
+mod scoring;
+mod settings;
+mod table;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+fn main() -> ExitCode {
+    let cli = cli::Cli::parse();
+    match cli.run() {
+        Ok(outcome) => outcome.into(),
+        Err(error) => output::failure(&error),
+    }
+}

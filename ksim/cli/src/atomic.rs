@@ -1,0 +1,149 @@
+//! Files that appear whole or not at all.
+
+use std::fs::{File, Permissions};
+use std::io::{self, BufWriter, Seek, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use anyhow::{Context as _, Result, bail};
+
+/// Held while a finished file is put in place: an interrupt waits for it.
+static PUBLISHING: Mutex<()> = Mutex::new(());
+
+/// Exit code after Ctrl-C, as shells have it.
+const INTERRUPTED: i32 = 130;
+
+/// Makes Ctrl-C and SIGTERM wait for a file that is just being put in place, then exit.
+pub(crate) fn leave_nothing_behind_on_interrupt() -> Result<()> {
+    ctrlc::set_handler(|| {
+        let _publishing = PUBLISHING.lock();
+        std::process::exit(INTERRUPTED);
+    })
+    .context("cannot take over Ctrl-C")
+}
+
+/// A file in the making. Until [`publish`](Self::publish) it has no name, so nothing is left behind
+/// however the process ends.
+#[derive(Debug)]
+pub(crate) struct AtomicFile {
+    target: PathBuf,
+    staged: BufWriter<File>,
+}
+
+impl AtomicFile {
+    /// Starts a file that will stand at `target`.
+    pub(crate) fn create(target: &Path) -> Result<Self> {
+        check_target(target)?;
+        let staged = tempfile::tempfile_in(folder(target))
+            .with_context(|| format!("cannot write into {}", folder(target).display()))?;
+        Ok(Self {
+            target: target.to_owned(),
+            staged: BufWriter::new(staged),
+        })
+    }
+
+    /// Puts the file in its place, replacing one that is there.
+    pub(crate) fn publish(self) -> Result<()> {
+        let Self { target, staged } = self;
+        let publish = || -> io::Result<()> {
+            let mut staged = staged
+                .into_inner()
+                .map_err(io::IntoInnerError::into_error)?;
+            staged.rewind()?;
+            let _publishing = PUBLISHING.lock();
+            let mut named = named(folder(&target))?;
+            io::copy(&mut staged, named.as_file_mut())?;
+            named.persist(&target)?;
+            Ok(())
+        };
+        publish().with_context(|| format!("cannot write {}", target.display()))
+    }
+}
+
+impl Write for AtomicFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.staged.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.staged.flush()
+    }
+}
+
+/// Refuses a target that could not be written in the end, before anything is computed.
+pub(crate) fn check_target(target: &Path) -> Result<()> {
+    if target.is_dir() {
+        bail!(
+            "{} is a folder, expected the name of a file to write",
+            target.display()
+        );
+    }
+    if target.file_name().is_none() {
+        bail!("{} is not the name of a file", target.display());
+    }
+    let folder = folder(target);
+    if !folder.is_dir() {
+        bail!(
+            "cannot write {}: there is no folder {}",
+            target.display(),
+            folder.display()
+        );
+    }
+    Ok(())
+}
+
+/// A temporary file beside the target, with the permissions of any new file.
+fn named(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".ksim-").suffix(".unfinished");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(Permissions::from_mode(0o666)); // less the umask
+    }
+    builder.tempfile_in(folder)
+}
+
+fn folder(target: &Path) -> &Path {
+    match target.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn nothing_is_visible_before_the_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("out.bin");
+        std::fs::write(&target, "old").unwrap();
+        let mut file = AtomicFile::create(&target).unwrap();
+        file.write_all(b"new").unwrap();
+        assert_eq!(std::fs::read(&target).unwrap(), b"old");
+        assert_eq!(names(folder.path()), ["out.bin"]);
+        file.publish().unwrap();
+        assert_eq!(std::fs::read(&target).unwrap(), b"new");
+        assert_eq!(names(folder.path()), ["out.bin"]);
+    }
+
+    #[test]
+    fn a_target_that_cannot_be_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(AtomicFile::create(folder.path()).is_err());
+        let error = AtomicFile::create(&folder.path().join("none/out")).unwrap_err();
+        assert!(error.to_string().contains("there is no folder"), "{error}");
+        assert!(names(folder.path()).is_empty());
+    }
+}

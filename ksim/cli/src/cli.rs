@@ -1,0 +1,49 @@
+//! The root of the command line.
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+
+use crate::commands::{dataset, demo, score};
+use crate::context::{Context, GlobalArgs};
+use crate::outcome::CommandOutcome;
+
+/// K-Sim: how closely a policy's closed-loop behavior stays to its training data
+///
+/// Exit status: 0 done, 1 failed, 2 wrong usage, 3 done although a reader had to repair or leave out data.
+#[derive(Debug, Parser)]
+#[command(name = "ksim", version, propagate_version = true)]
+pub(crate) struct Cli {
+    #[command(flatten)]
+    globals: GlobalArgs,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Score(Box<score::ScoreArgs>),
+    Dataset(dataset::DatasetArgs),
+    Demo(demo::DemoArgs),
+}
+
+impl Cli {
+    /// Runs the command that was asked for.
+    pub(crate) fn run(self) -> Result<CommandOutcome> {
+        let context = Context::new(&self.globals)?;
+        match self.command {
+            Command::Score(args) => score::run(&args, &context),
+            Command::Dataset(args) => dataset::run(&args, &context),
+            Command::Demo(args) => demo::run(&args, &context),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        super::Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,148 @@
+//! `ksim demo`: bundled rollouts against a bundled dataset, and what the numbers mean.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result};
+use clap::Args;
+use ksim_datasets::OpenOptions;
+
+use crate::atomic::AtomicFile;
+use crate::context::Context;
+use crate::document::Document;
+use crate::outcome::CommandOutcome;
+use crate::output::{self, OutputFormat};
+use crate::scoring::{self, Job};
+use crate::settings::Settings;
+use crate::table;
+
+/// A bundled file.
+struct Bundled {
+    name: &'static str,
+    bytes: &'static [u8],
+}
+
+/// The bundled file of a name under `ksim/cli/demo`.
+macro_rules! bundled {
+    ($name:literal) => {
+        Bundled {
+            name: $name,
+            bytes: include_bytes!(concat!("../../demo/", $name)),
+        }
+    };
+}
+
+const DATASET: Bundled = bundled!("dataset.parquet");
+const ROLLOUTS: [Bundled; 3] = [
+    bundled!("good.parquet"),
+    bundled!("noisy.parquet"),
+    bundled!("random.parquet"),
+];
+
+/// Score bundled rollouts against a bundled dataset, and say what the numbers mean
+///
+/// The data are MuJoCo simulations of an ant in a maze: a few episodes of a policy that runs to a goal (the
+/// dataset), and rollouts of the same policy (good), of it with strong noise on its actions (noisy), and of
+/// random actions (random).
+#[derive(Debug, Clone, Args)]
+pub(crate) struct DemoArgs {
+    /// How to print the result
+    #[arg(long, value_enum, default_value_t = OutputFormat::Text)]
+    format: OutputFormat,
+    /// Write the bundled files into this folder instead, to try `ksim score` on them
+    #[arg(long, value_name = "FOLDER")]
+    export: Option<PathBuf>,
+}
+
+/// Runs the demo, or writes its files.
+pub(crate) fn run(args: &DemoArgs, context: &Context) -> Result<CommandOutcome> {
+    if let Some(folder) = &args.export {
+        return export(folder);
+    }
+    let folder = tempfile::tempdir().context("cannot make a folder for the demo's files")?;
+    for file in bundled() {
+        let path = folder.path().join(file.name);
+        std::fs::write(&path, file.bytes)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    let at = |file: &Bundled| folder.path().join(file.name).display().to_string();
+    let job = Job {
+        dataset: at(&DATASET),
+        dataset_options: OpenOptions::default(),
+        rollouts: ROLLOUTS.iter().map(at).collect(),
+        rollout_options: OpenOptions::default(),
+        settings: Settings::default(),
+        per_step: None,
+    };
+    let (mut document, outcome) = scoring::run(&job, context)?;
+    // The folder is gone when the user reads this: the names are what the user can export.
+    document.dataset.path = DATASET.name.to_owned();
+    document.dataset.name = "demo dataset".to_owned();
+    for (result, file) in document.results.iter_mut().zip(&ROLLOUTS) {
+        result.file = file.name.to_owned();
+    }
+    match args.format {
+        OutputFormat::Text => output::text(&explained(&document))?,
+        OutputFormat::Json => output::json(&document)?,
+    }
+    Ok(outcome)
+}
+
+fn bundled() -> impl Iterator<Item = &'static Bundled> {
+    std::iter::once(&DATASET).chain(&ROLLOUTS)
+}
+
+fn export(folder: &Path) -> Result<CommandOutcome> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    for file in bundled() {
+        use std::io::Write as _;
+        let mut whole = AtomicFile::create(&folder.join(file.name))?;
+        whole
+            .write_all(file.bytes)
+            .with_context(|| format!("cannot write {}", file.name))?;
+        whole.publish()?;
+    }
+    let at = |file: &Bundled| folder.join(file.name).display().to_string();
+    let rollouts: Vec<String> = ROLLOUTS.iter().map(at).collect();
+    output::text(&format!(
+        "wrote 4 files; now try\n  ksim score {} --dataset {}\n",
+        rollouts.join(" "),
+        at(&DATASET)
+    ))?;
+    Ok(CommandOutcome::Done)
+}
+
+/// The table and what it says, with the numbers of this run.
+fn explained(document: &Document) -> String {
+    let k_sim = |name: &str| {
+        let result = document
+            .results
+            .iter()
+            .find(|result| result.file.starts_with(name));
+        result.map_or(f64::NAN, |result| result.k_sim)
+    };
+    let (good, noisy, random) = (k_sim("good"), k_sim("noisy"), k_sim("random"));
+    format!(
+        "{table}\n{provenance}\n\
+         What the numbers mean\n\
+         K-Sim says how closely the behavior in a rollout stays to the training data. For every step it\n\
+         takes the 50 dataset states nearest to the rollout's state, among them the one whose action is\n\
+         nearest to the policy's, and turns the distance of the two steps into a score: 1 on the data,\n\
+         falling towards 0 far from it. K-Sim is the mean over the steps.\n\
+         \n\
+         Here the policy that made the dataset scores {good:.2}, the same policy with strong noise on its\n\
+         actions {noisy:.2}, and random actions {random:.2}: only the first behaves as its data do. The\n\
+         intervals say how much these means may vary with other episodes of the same policy.\n\
+         \n\
+         What they do not say\n\
+         - Not whether a policy succeeds: one that fails just as the data do scores high.\n\
+         - Not which of two poor policies is worse: once behavior leaves the data, all of it is far away,\n\
+           and random need not score below noisy.\n\
+         - Nothing at all if most steps are saturated (score 1): then compare the mean d/√d, which goes on.\n\
+         - Scores compare only where the fingerprints agree: same dataset, columns and parameters.\n\
+         \n\
+         Try it: ksim demo --export demo-data\n",
+        table = table::results(document),
+        provenance = table::provenance(document),
+    )
+}

@@ -1,0 +1,358 @@
+//! From files to the engine's matrices, in batches.
+
+use std::collections::HashMap;
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use arrow::datatypes::DataType;
+use ksim::{DataError, Trajectories};
+use ksim_datasets::{
+    DatasetSource, ObservationLayout, TransitionOptions, TransitionReader, Transitions,
+};
+
+use crate::context::Context;
+
+/// Column that tells whose rollouts a row belongs to.
+const PLANNER: &str = "info.planner";
+
+/// The steps of one planner, or of a whole file.
+#[derive(Debug)]
+pub(crate) struct Steps {
+    /// The planner, where the file names planners.
+    pub(crate) planner: Option<String>,
+    /// States and actions.
+    pub(crate) trajectories: Trajectories,
+    /// Recorded step numbers, kept only if they are not 0, 1, 2, ... in every episode.
+    numbers: Option<Vec<i64>>,
+}
+
+impl Steps {
+    fn new(planner: Option<String>, state_dim: usize, action_dim: usize) -> Result<Self> {
+        let trajectories = Trajectories::new(state_dim, action_dim)?;
+        Ok(Self {
+            planner,
+            trajectories,
+            numbers: None,
+        })
+    }
+
+    /// Number the dataset gives to the step that is `position` steps after its episode's first.
+    pub(crate) fn number(&self, row: usize, position: usize) -> i64 {
+        match &self.numbers {
+            Some(numbers) => numbers[row],
+            None => position as i64,
+        }
+    }
+
+    /// The recorded numbers, without the matrices.
+    pub(crate) fn into_parts(self) -> (Trajectories, StepNumbers) {
+        (self.trajectories, StepNumbers(self.numbers))
+    }
+
+    fn push_run(&mut self, run: &Run<'_>, columns: &Columns) -> Result<()> {
+        let known = match self.trajectories.episodes().last() {
+            Some(last) if last.episode_index == run.episode => last.rows.len(),
+            _ => 0,
+        };
+        let counted = (known as i64..).take(run.numbers.len());
+        if self.numbers.is_none() && !run.numbers.iter().copied().eq(counted) {
+            let episodes = self.trajectories.episodes().iter();
+            self.numbers = Some(
+                episodes
+                    .flat_map(|episode| 0..episode.rows.len() as i64)
+                    .collect(),
+            );
+        }
+        self.trajectories
+            .push(run.episode, run.states, run.actions)
+            .map_err(|error| columns.placed(error, run, known))?;
+        if let Some(numbers) = &mut self.numbers {
+            numbers.extend(run.numbers);
+        }
+        Ok(())
+    }
+}
+
+/// Recorded step numbers of a dataset, by row.
+#[derive(Debug)]
+pub(crate) struct StepNumbers(Option<Vec<i64>>);
+
+impl StepNumbers {
+    /// As [`Steps::number`].
+    pub(crate) fn number(&self, row: usize, position: usize) -> i64 {
+        self.0
+            .as_ref()
+            .map_or(position as i64, |numbers| numbers[row])
+    }
+}
+
+/// The chosen state columns and their names.
+#[derive(Debug, Clone)]
+pub(crate) struct Columns {
+    /// Places in the observation, in the order wanted.
+    pub(crate) indices: Vec<usize>,
+    /// A name for each.
+    pub(crate) names: Vec<String>,
+}
+
+impl Columns {
+    /// Resolves a selection on the layout of the dataset; `None` takes all columns.
+    pub(crate) fn select(source: &dyn DatasetSource, selection: Option<&str>) -> Result<Self> {
+        let layout = ObservationLayout::new(&source.info().observation);
+        let indices = match selection {
+            Some(selection) => layout.select(selection)?,
+            None => (0..layout.width()).collect(),
+        };
+        let names = indices
+            .iter()
+            .map(|&index| layout.column_name(index))
+            .collect();
+        Ok(Self { indices, names })
+    }
+
+    /// An engine's error with the place as the file has it.
+    fn placed(&self, error: DataError, run: &Run<'_>, known: usize) -> anyhow::Error {
+        let DataError::NonFiniteStep {
+            episode_index,
+            step_index,
+            part,
+            column,
+            value,
+        } = error
+        else {
+            return error.into();
+        };
+        let step = run.numbers.get(step_index.wrapping_sub(known)).copied();
+        let step = step.unwrap_or(step_index as i64);
+        let column = match (part, self.indices.get(column)) {
+            ("state", Some(index)) => {
+                format!("observation column {index} ({})", self.names[column])
+            }
+            _ => format!("{part} column {column}"),
+        };
+        anyhow!(
+            "episode {episode_index}, step {step}: {column} holds {value}, \
+             expected a finite number within ±3.4e38"
+        )
+    }
+}
+
+/// Consecutive rows of one episode and planner.
+struct Run<'a> {
+    episode: i64,
+    numbers: &'a [i64],
+    states: &'a [f64],
+    actions: &'a [f64],
+}
+
+/// Refuses rollouts that are not as wide as the dataset.
+pub(crate) fn check_widths(
+    rollouts: &dyn DatasetSource,
+    dataset: &dyn DatasetSource,
+) -> Result<()> {
+    let (found, expected) = (rollouts.info(), dataset.info());
+    for (what, found_width, expected_width) in [
+        (
+            "observations",
+            found.observation_width(),
+            expected.observation_width(),
+        ),
+        ("actions", found.action_width(), expected.action_width()),
+    ] {
+        if found_width != expected_width {
+            bail!(
+                "{}: {what} have {found_width} columns, expected {expected_width} as in dataset {} ({})",
+                found.path.display(),
+                expected.id,
+                expected.path.display()
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Reads a whole dataset as one group.
+pub(crate) fn dataset(
+    source: &dyn DatasetSource,
+    columns: &Columns,
+    context: &Context,
+) -> Result<Steps> {
+    let mut groups = load(source, columns, None, context)?;
+    match groups.pop() {
+        Some(steps) if groups.is_empty() => Ok(steps),
+        _ => bail!("{}: no steps", source.info().path.display()),
+    }
+}
+
+/// Reads rollouts, one group per planner if the file names planners, in order of appearance.
+pub(crate) fn rollouts(
+    source: &dyn DatasetSource,
+    columns: &Columns,
+    context: &Context,
+) -> Result<Vec<Steps>> {
+    let groups = load(
+        source,
+        columns,
+        names_planners(source).then_some(PLANNER),
+        context,
+    )?;
+    if groups.is_empty() {
+        bail!("{}: no steps", source.info().path.display());
+    }
+    Ok(groups)
+}
+
+/// Whether the rows say which planner they come from.
+pub(crate) fn names_planners(source: &dyn DatasetSource) -> bool {
+    let schema = source.schema();
+    schema
+        .field_with_name(PLANNER)
+        .is_ok_and(|field| *field.data_type() == DataType::Utf8)
+}
+
+fn load(
+    source: &dyn DatasetSource,
+    columns: &Columns,
+    text_column: Option<&str>,
+    context: &Context,
+) -> Result<Vec<Steps>> {
+    let info = source.info();
+    let what = format!("reading {}", info.id);
+    let progress = match info.n_steps {
+        Some(n_steps) => context.bar(what, n_steps, "steps"),
+        None => context.spinner(what),
+    };
+    let options = TransitionOptions {
+        state_columns: Some(columns.indices.clone()),
+        text_column: text_column.map(str::to_owned),
+        ..TransitionOptions::default()
+    };
+    let mut groups = Groups {
+        columns,
+        groups: Vec::new(),
+        by_planner: HashMap::new(),
+    };
+    let mut done = 0;
+    for batch in TransitionReader::new(source, &options)? {
+        let batch = batch.map_err(|error| error.in_file(&info.path))?;
+        groups
+            .push(&batch)
+            .with_context(|| info.path.display().to_string())?;
+        done += batch.n_rows() as u64;
+        progress.set(done);
+    }
+    Ok(groups.groups)
+}
+
+/// Rows sorted by planner.
+struct Groups<'a> {
+    columns: &'a Columns,
+    groups: Vec<Steps>,
+    by_planner: HashMap<Option<String>, usize>,
+}
+
+impl Groups<'_> {
+    fn push(&mut self, batch: &Transitions) -> Result<()> {
+        let planner = |row: usize| batch.text.as_ref().and_then(|text| text[row].as_deref());
+        let key = |row: usize| (batch.episode_index[row], planner(row));
+        let mut start = 0;
+        while start < batch.n_rows() {
+            let same = (start..batch.n_rows())
+                .take_while(|&row| key(row) == key(start))
+                .count();
+            let rows = start..start + same;
+            let run = Run {
+                episode: batch.episode_index[start],
+                numbers: &batch.step_index[rows.clone()],
+                states: &batch.states[rows.start * batch.state_width..rows.end * batch.state_width],
+                actions: &batch.actions
+                    [rows.start * batch.action_width..rows.end * batch.action_width],
+            };
+            let group = self.group(planner(start), batch)?;
+            self.groups[group].push_run(&run, self.columns)?;
+            start = rows.end;
+        }
+        Ok(())
+    }
+
+    fn group(&mut self, planner: Option<&str>, batch: &Transitions) -> Result<usize> {
+        let planner = planner.map(str::to_owned);
+        if let Some(&group) = self.by_planner.get(&planner) {
+            return Ok(group);
+        }
+        self.groups.push(Steps::new(
+            planner.clone(),
+            batch.state_width,
+            batch.action_width,
+        )?);
+        self.by_planner.insert(planner, self.groups.len() - 1);
+        Ok(self.groups.len() - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn batch(episodes: &[i64], steps: &[i64], planners: Option<&[&str]>) -> Transitions {
+        Transitions {
+            episode_index: episodes.to_vec(),
+            step_index: steps.to_vec(),
+            state_width: 1,
+            states: steps.iter().map(|&step| step as f64).collect(),
+            action_width: 1,
+            actions: vec![0.0; steps.len()],
+            text: planners.map(|names| names.iter().map(|name| Some((*name).to_owned())).collect()),
+            ..Transitions::default()
+        }
+    }
+
+    fn groups(batches: &[Transitions]) -> Result<Vec<Steps>> {
+        let columns = Columns {
+            indices: vec![3],
+            names: vec!["x[1]".to_owned()],
+        };
+        let mut groups = Groups {
+            columns: &columns,
+            groups: Vec::new(),
+            by_planner: HashMap::new(),
+        };
+        batches.iter().try_for_each(|batch| groups.push(batch))?;
+        Ok(groups.groups)
+    }
+
+    #[test]
+    fn planners_are_told_apart_in_order_of_appearance() {
+        let batches = [
+            batch(&[0, 0, 1], &[0, 1, 0], Some(&["b", "b", "a"])),
+            batch(&[2], &[0], Some(&["b"])),
+        ];
+        let groups = groups(&batches).unwrap();
+        let seen: Vec<_> = groups
+            .iter()
+            .map(|g| (g.planner.as_deref().unwrap(), g.trajectories.n_rows()))
+            .collect();
+        assert_eq!(seen, [("b", 3), ("a", 1)]);
+    }
+
+    #[test]
+    fn step_numbers_are_kept_only_where_they_do_not_count_from_zero() {
+        let plain =
+            &groups(&[batch(&[0, 0], &[0, 1], None), batch(&[0, 1], &[2, 0], None)]).unwrap()[0];
+        assert!(plain.numbers.is_none());
+        let gaps =
+            &groups(&[batch(&[0, 0], &[0, 1], None), batch(&[0, 1], &[5, 7], None)]).unwrap()[0];
+        assert_eq!(gaps.numbers.as_deref(), Some(&[0, 1, 5, 7][..]));
+        assert_eq!(gaps.number(2, 2), 5);
+    }
+
+    #[test]
+    fn a_bad_value_is_placed_as_the_file_has_it() {
+        let mut bad = batch(&[4, 4], &[7, 9], None);
+        bad.states[1] = f64::NAN;
+        let error = groups(&[bad]).unwrap_err().to_string();
+        assert!(
+            error.starts_with("episode 4, step 9: observation column 3 (x[1]) holds NaN"),
+            "{error}"
+        );
+    }
+}

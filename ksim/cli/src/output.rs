@@ -1,0 +1,59 @@
+//! The only place that prints: results to stdout, everything else to stderr.
+
+use std::io::{self, ErrorKind, Write};
+use std::process::ExitCode;
+
+use anyhow::{Context as _, Result};
+use clap::ValueEnum;
+use serde::Serialize;
+
+/// How results are written to stdout.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum OutputFormat {
+    /// A table for people
+    Text,
+    /// A documented, versioned document for programs
+    Json,
+}
+
+/// Writes a result to stdout.
+pub(crate) fn text(text: &str) -> Result<()> {
+    let mut stdout = io::stdout().lock();
+    match stdout
+        .write_all(text.as_bytes())
+        .and_then(|()| stdout.flush())
+    {
+        // The reader had enough, as `head` does.
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+        result => result.context("cannot write to stdout"),
+    }
+}
+
+/// Writes a result to stdout as indented JSON. Numbers that are not finite become `null`.
+pub(crate) fn json(document: &impl Serialize) -> Result<()> {
+    let mut json =
+        serde_json::to_string_pretty(document).context("cannot write the result as JSON")?;
+    json.push('\n');
+    text(&json)
+}
+
+/// Writes a warning to stderr.
+pub(crate) fn warning(message: &str) {
+    to_stderr(&format!("warning: {message}"));
+}
+
+/// Writes what went wrong to stderr, once, and gives the exit code that goes with it.
+pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
+    if let Some(usage) = error.downcast_ref::<clap::Error>() {
+        // Nothing can be done if stderr is closed.
+        let _ = usage.print();
+        return ExitCode::from(2);
+    }
+    to_stderr(&format!("error: {error:#}"));
+    ExitCode::FAILURE
+}
+
+fn to_stderr(line: &str) {
+    // Not `eprintln!`, which panics if stderr is closed.
+    let _ = writeln!(io::stderr().lock(), "{line}");
+}

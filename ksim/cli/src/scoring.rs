@@ -1,0 +1,270 @@
+//! Scoring files against a dataset: open, check, read, fit, score.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Context as _, Result, bail};
+use ksim::{ApproximationError, KSim, Report, ScoreOptions, Search};
+use ksim_datasets::{DatasetInfo, DatasetSource, OpenOptions};
+
+use crate::atomic;
+use crate::centers::Centers;
+use crate::context::Context;
+use crate::data_args;
+use crate::document::{
+    DatasetPart, Document, Parameters, RolloutResult, SCHEMA, SearchPart, fingerprint,
+};
+use crate::load::{self, Columns, StepNumbers, Steps};
+use crate::outcome::CommandOutcome;
+use crate::per_step::{Labels, PerStepWriter, Scored};
+use crate::settings::Settings;
+
+/// Share of saturated steps above which a score says little.
+const MUCH_SATURATION: f64 = 0.9;
+
+/// Everything a run of `ksim score` needs to know.
+#[derive(Debug, Clone)]
+pub(crate) struct Job {
+    /// Name or path of the reference.
+    pub(crate) dataset: String,
+    /// How to open it.
+    pub(crate) dataset_options: OpenOptions,
+    /// Names or paths of the rollouts.
+    pub(crate) rollouts: Vec<String>,
+    /// How to open them.
+    pub(crate) rollout_options: OpenOptions,
+    /// How to score.
+    pub(crate) settings: Settings,
+    /// Where to write the evidence.
+    pub(crate) per_step: Option<PathBuf>,
+}
+
+/// The opened files of a job.
+struct Inputs {
+    dataset_name: String,
+    dataset: Box<dyn DatasetSource>,
+    rollouts: Vec<(String, Box<dyn DatasetSource>)>,
+}
+
+/// A fitted reference and what is known about it.
+struct Fitted {
+    ksim: KSim,
+    /// An exact search over the same reference, if the approximation error is wanted.
+    exact: Option<KSim>,
+    steps: StepNumbers,
+    columns: Columns,
+    dataset: DatasetPart,
+    parameters: Parameters,
+    search: SearchPart,
+    fingerprint: String,
+}
+
+/// Runs a job. Writes the per-step file, prints nothing but warnings and progress.
+pub(crate) fn run(job: &Job, context: &Context) -> Result<(Document, CommandOutcome)> {
+    let started = Instant::now();
+    if let Some(path) = &job.per_step {
+        atomic::check_target(path)?;
+    }
+    if let Some(idle) = job.settings.idle_flags() {
+        context.warn(&idle);
+    }
+    let inputs = open(job, context)?;
+    let fitted = fit(&inputs, &job.settings, context)?;
+    let results = score_all(&inputs, &fitted, job, context)?;
+    let document = Document {
+        schema: SCHEMA,
+        version: env!("CARGO_PKG_VERSION"),
+        results,
+        dataset: fitted.dataset,
+        parameters: fitted.parameters,
+        search: fitted.search,
+        fingerprint: fitted.fingerprint,
+        threads: context.threads(),
+        elapsed_s: started.elapsed().as_secs_f64(),
+    };
+    let sources = inputs.rollouts.iter().map(|(_, source)| source.info());
+    let outcome = CommandOutcome::of(sources.chain([inputs.dataset.info()]));
+    Ok((document, outcome))
+}
+
+/// Opens every file and checks that they fit, before anything is computed.
+fn open(job: &Job, context: &Context) -> Result<Inputs> {
+    let (resolved, dataset) = data_args::open(&job.dataset, &job.dataset_options)?;
+    warn_of(dataset.info(), context);
+    let mut rollouts = Vec::with_capacity(job.rollouts.len());
+    for name in &job.rollouts {
+        let (_, source) = data_args::open(name, &job.rollout_options)?;
+        load::check_widths(&*source, &*dataset)?;
+        warn_of(source.info(), context);
+        rollouts.push((name.clone(), source));
+    }
+    Ok(Inputs {
+        dataset_name: resolved.name,
+        dataset,
+        rollouts,
+    })
+}
+
+fn warn_of(info: &DatasetInfo, context: &Context) {
+    for warning in &info.warnings {
+        context.warn(&format!("{}: {warning}", info.path.display()));
+    }
+}
+
+/// Reads the dataset and builds the search over it.
+fn fit(inputs: &Inputs, settings: &Settings, context: &Context) -> Result<Fitted> {
+    let source = &*inputs.dataset;
+    let info = source.info();
+    let columns = Columns::select(source, settings.state_columns.as_deref())
+        .with_context(|| info.path.display().to_string())?;
+    let centers = read_centers(settings, columns.indices.len())?;
+    let (reference, steps) = load::dataset(source, &columns, context)?.into_parts();
+    let dataset = DatasetPart {
+        n_episodes: reference.episodes().len(),
+        n_steps: reference.n_rows(),
+        fingerprint: reference.fingerprint(),
+        ..DatasetPart::new(&inputs.dataset_name, info)
+    };
+    let mut parameters = Parameters::new(settings, &columns, reference.action_dim());
+    let working = match (settings.search, &centers) {
+        (Search::Clusters, None) => "fitting the clusters",
+        _ => "building the search",
+    };
+    let progress = context.spinner(working.to_owned());
+    let given = centers.as_ref().map(|centers| centers.values.clone());
+    let ksim = settings
+        .params(given)
+        .fit(reference)
+        .with_context(|| info.path.display().to_string())?;
+    let exact = settings
+        .approximation_error
+        .then(|| ksim.with_search(Search::Auto))
+        .transpose()?;
+    drop(progress);
+    let search = SearchPart::new(settings, centers.as_ref(), &ksim);
+    parameters.n_clusters = search.clusters.as_ref().map(|clusters| clusters.n_clusters);
+    let fingerprint = fingerprint(&dataset, &parameters, &search, centers.as_ref());
+    Ok(Fitted {
+        ksim,
+        exact,
+        steps,
+        columns,
+        dataset,
+        parameters,
+        search,
+        fingerprint,
+    })
+}
+
+fn read_centers(settings: &Settings, width: usize) -> Result<Option<Centers>> {
+    let Some(file) = &settings.centers else {
+        return Ok(None);
+    };
+    let centers = file.read(width)?;
+    let found = centers.values.len() / width;
+    if settings.n_clusters_given && found != settings.n_clusters {
+        bail!(
+            "{}: tensor \"{}\" holds {found} centers, expected {} as --n-clusters says",
+            file.path.display(),
+            centers.tensor,
+            settings.n_clusters
+        );
+    }
+    Ok(Some(centers))
+}
+
+fn score_all(
+    inputs: &Inputs,
+    fitted: &Fitted,
+    job: &Job,
+    context: &Context,
+) -> Result<Vec<RolloutResult>> {
+    let labels = Labels {
+        file: inputs.rollouts.len() > 1,
+        planner: inputs
+            .rollouts
+            .iter()
+            .any(|(_, source)| load::names_planners(&**source)),
+    };
+    let mut per_step = job
+        .per_step
+        .as_deref()
+        .map(|path| PerStepWriter::create(path, labels))
+        .transpose()?;
+    let mut results = Vec::new();
+    for (file, source) in &inputs.rollouts {
+        let path = source.info().path.display();
+        for steps in load::rollouts(&**source, &fitted.columns, context)? {
+            let (mut result, report) = score_one(file, &steps, fitted, (&job.settings, context))
+                .with_context(|| path.to_string())?;
+            let of_reader = source.info().warnings.iter().map(ToString::to_string);
+            let own = warnings(&report, &job.settings);
+            for warning in &own {
+                context.warn(&format!("{}: {warning}", result.label()));
+            }
+            result.warnings = of_reader.chain(own).collect();
+            if let Some(writer) = &mut per_step {
+                writer.write(&Scored {
+                    file,
+                    steps: &steps,
+                    report: &report,
+                    ksim: &fitted.ksim,
+                    reference: &fitted.steps,
+                })?;
+            }
+            results.push(result);
+        }
+    }
+    per_step.map(PerStepWriter::finish).transpose()?;
+    Ok(results)
+}
+
+fn score_one(
+    file: &str,
+    steps: &Steps,
+    fitted: &Fitted,
+    (settings, context): (&Settings, &Context),
+) -> Result<(RolloutResult, Report)> {
+    let started = Instant::now();
+    let n_steps = steps.trajectories.n_rows() as u64;
+    let progress = context.bar(format!("scoring {file}"), n_steps, "steps");
+    let mut set = |done: usize| progress.set(done as u64);
+    let mut options = ScoreOptions {
+        exclude_same_episode: settings.exclude_same_episode,
+        progress: Some(&mut set),
+    };
+    let report = fitted.ksim.score_with(&steps.trajectories, &mut options)?;
+    let mut result = RolloutResult::new(file, steps.planner.clone(), &report);
+    result.elapsed_s = started.elapsed().as_secs_f64();
+    if let Some(exact) = &fitted.exact {
+        let excluded = settings.exclude_same_episode;
+        let error =
+            ApproximationError::measure(&fitted.ksim, exact, &steps.trajectories, excluded)?;
+        result.approximation_error = Some(error.into());
+    }
+    Ok((result, report))
+}
+
+/// What a reader of the number should know.
+fn warnings(report: &Report, settings: &Settings) -> Vec<String> {
+    let mut warnings = Vec::new();
+    let on_the_data = report.steps.iter().all(|step| step.distance == 0.0);
+    if on_the_data && !settings.exclude_same_episode {
+        warnings.push(
+            "every step is itself a step of the dataset, so every score is 1; to score a dataset \
+             against itself add --exclude-same-episode"
+                .to_owned(),
+        );
+    } else if report.saturated_share > MUCH_SATURATION {
+        warnings.push(format!(
+            "{:.1} % of the steps are saturated (score 1): K-Sim says little here; compare the mean \
+             d/√d, which is {:.4}",
+            100.0 * report.saturated_share,
+            report.mean_scaled_distance
+        ));
+    }
+    if report.state_action.interval_95.is_none() && settings.n_resamples > 0 {
+        warnings.push("a single episode has no interval".to_owned());
+    }
+    warnings
+}

@@ -1,0 +1,242 @@
+//! Results as text for people.
+
+use std::fmt::Write as _;
+
+use crate::document::{Document, RolloutResult, SearchPart};
+
+/// Lines up cells: the first column to the left, the others to the right.
+pub(crate) fn align(rows: &[Vec<String>]) -> String {
+    let n_columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let width = |column: usize| {
+        rows.iter()
+            .filter_map(|row| row.get(column))
+            .map(|cell| cell.chars().count())
+            .max()
+            .unwrap_or(0)
+    };
+    let widths: Vec<usize> = (0..n_columns).map(width).collect();
+    let mut text = String::new();
+    for row in rows {
+        let mut line = String::new();
+        for (column, (cell, &width)) in row.iter().zip(&widths).enumerate() {
+            let padding = " ".repeat(width - cell.chars().count());
+            match column {
+                0 => line.extend([cell.as_str(), &padding]),
+                _ => line.extend(["  ", &padding, cell.as_str()]),
+            }
+        }
+        text.push_str(line.trim_end());
+        text.push('\n');
+    }
+    text
+}
+
+/// Lines up names and what is said of them.
+pub(crate) fn properties(rows: &[(&str, String)]) -> String {
+    let width = rows
+        .iter()
+        .map(|(name, _)| name.chars().count())
+        .max()
+        .unwrap_or(0);
+    rows.iter()
+        .map(|(name, value)| format!("{name:width$}  {value}\n"))
+        .collect()
+}
+
+/// The result of `ksim score`.
+pub(crate) fn score(document: &Document) -> String {
+    let mut text = results(document);
+    for result in &document.results {
+        if let Some(error) = &result.approximation_error {
+            let _ = writeln!(
+                text,
+                "approximation error of {}: {}",
+                result.label(),
+                error.describe()
+            );
+        }
+    }
+    text.push('\n');
+    text.push_str(&provenance(document));
+    text
+}
+
+/// The table alone: a row per file or planner.
+pub(crate) fn results(document: &Document) -> String {
+    let by_episode = document.parameters.headline == "k_sim_episode_mean";
+    let star =
+        |is_headline: bool, name: &str| format!("{name}{}", if is_headline { "*" } else { "" });
+    let mut rows = vec![vec![
+        "rollouts".to_owned(),
+        "episodes".to_owned(),
+        "steps".to_owned(),
+        star(!by_episode, "K-Sim"),
+        star(by_episode, "episode mean"),
+        "95 % interval".to_owned(),
+        "state".to_owned(),
+        "action".to_owned(),
+        "saturated".to_owned(),
+        "mean d/√d".to_owned(),
+        "time".to_owned(),
+    ]];
+    rows.extend(document.results.iter().map(result_row));
+    let mut text = align(&rows);
+    let headline = if by_episode {
+        "mean of the episodes' own means"
+    } else {
+        "mean over all steps"
+    };
+    let _ = writeln!(
+        text,
+        "* the {} definition: {headline}; the interval is a bootstrap over episodes of the episode mean",
+        document.parameters.definition
+    );
+    text
+}
+
+fn result_row(result: &RolloutResult) -> Vec<String> {
+    let interval = match result.interval_95 {
+        Some([low, high]) => format!("[{low:.4}, {high:.4}]"),
+        None => "none".to_owned(),
+    };
+    vec![
+        result.label(),
+        result.n_episodes.to_string(),
+        result.n_steps.to_string(),
+        format!("{:.4}", result.k_sim),
+        format!("{:.4}", result.k_sim_episode_mean),
+        interval,
+        format!("{:.4}", result.k_sim_state),
+        format!("{:.4}", result.k_sim_action),
+        format!("{:.1} %", 100.0 * result.saturated_share),
+        format!("{:.4}", result.mean_scaled_distance),
+        format!("{:.2} s", result.elapsed_s),
+    ]
+}
+
+/// What the scores were computed with.
+pub(crate) fn provenance(document: &Document) -> String {
+    let (dataset, parameters) = (&document.dataset, &document.parameters);
+    let excluded = if parameters.exclude_same_episode {
+        ", same episode excluded"
+    } else {
+        ""
+    };
+    properties(&[
+        (
+            "dataset",
+            format!(
+                "{} ({}, {} episodes, {} steps, fingerprint {})",
+                dataset.name,
+                dataset.format,
+                dataset.n_episodes,
+                dataset.n_steps,
+                dataset.fingerprint
+            ),
+        ),
+        ("columns", columns(document)),
+        ("search", search(&document.search)),
+        (
+            "parameters",
+            format!(
+                "γ {}, K {}, seed {}, {} resamples{excluded}",
+                parameters.gamma, parameters.n_neighbors, parameters.seed, parameters.n_resamples
+            ),
+        ),
+        (
+            "fingerprint",
+            format!(
+                "{} (ksim {}; compare only results with the same)",
+                document.fingerprint, document.version
+            ),
+        ),
+        (
+            "time",
+            format!(
+                "{:.2} s with {} threads",
+                document.elapsed_s, document.threads
+            ),
+        ),
+    ])
+}
+
+fn columns(document: &Document) -> String {
+    let parameters = &document.parameters;
+    let chosen = ranges(&parameters.state_columns);
+    let names = match parameters.state_column_names.as_slice() {
+        few if few.len() <= 4 => format!(" ({})", few.join(", ")),
+        _ => String::new(),
+    };
+    format!(
+        "{} of the state: {chosen}{names}; {} of the action",
+        parameters.state_dim, parameters.action_dim
+    )
+}
+
+/// Ascending runs as half-open ranges: `0..2, 5`.
+fn ranges(indices: &[usize]) -> String {
+    let mut runs: Vec<(usize, usize)> = Vec::new();
+    for &index in indices {
+        match runs.last_mut() {
+            Some((_, end)) if *end == index => *end += 1,
+            _ => runs.push((index, index + 1)),
+        }
+    }
+    let text = |&(start, end): &(usize, usize)| match end - start {
+        1 => start.to_string(),
+        _ => format!("{start}..{end}"),
+    };
+    runs.iter().map(text).collect::<Vec<_>>().join(", ")
+}
+
+fn search(search: &SearchPart) -> String {
+    let Some(clusters) = &search.clusters else {
+        return format!(
+            "exact ({}); for the paper's 50-cluster approximation add --search clusters",
+            search.engine
+        );
+    };
+    let centers = match (
+        &clusters.centers_file,
+        &clusters.centers_tensor,
+        clusters.n_iterations,
+    ) {
+        (Some(file), Some(tensor), _) => format!("centers from {file}:{tensor}"),
+        (_, _, Some(n)) => {
+            let rest = if clusters.converged == Some(true) {
+                ""
+            } else {
+                ", not converged"
+            };
+            format!(
+                "k-means of {}, {n} iterations{rest}",
+                clusters.backend.unwrap_or("?")
+            )
+        }
+        _ => "given centers".to_owned(),
+    };
+    format!(
+        "approximate: one of {} clusters ({centers}, inertia {:.6e}); exact is --search auto",
+        clusters.n_clusters, clusters.inertia
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_line_up_by_characters_not_bytes() {
+        let rows = [
+            vec!["a".into(), "√d".into()],
+            vec!["bcd".into(), "1.25".into()],
+        ];
+        assert_eq!(align(&rows), "a      √d\nbcd  1.25\n");
+    }
+
+    #[test]
+    fn runs_of_columns_become_ranges() {
+        assert_eq!(ranges(&[0, 1, 2, 5, 9, 8]), "0..3, 5, 9, 8");
+        assert_eq!(ranges(&[]), "");
+    }
+}
