@@ -3,3 +3,4 @@
 mod formats_agree;
 mod layering;
 mod repository;
+mod score_golden;
