@@ -15,24 +15,43 @@ use ksim_datasets::{OpenOptions, Scan, TransitionOptions, TransitionReader, open
 /// Opens the dataset and reads observations and actions of every row.
 fn to_arrow(path: &Path) -> usize {
     let source = open(path, &OpenOptions::default()).unwrap();
-    let names = source.schema().fields().iter().map(|field| field.name().clone()).collect::<Vec<_>>();
+    let names = source
+        .schema()
+        .fields()
+        .iter()
+        .map(|field| field.name().clone())
+        .collect::<Vec<_>>();
     let wanted = |name: &String| {
         schema::belongs_to(name, schema::OBSERVATION) || schema::belongs_to(name, schema::ACTION)
     };
     let columns = Some(names.into_iter().filter(wanted).collect());
-    let batches = source.scan(&Scan { columns, ..Scan::default() }).unwrap();
-    batches.map(|batch| black_box(batch.unwrap()).num_rows()).sum()
+    let batches = source
+        .scan(&Scan {
+            columns,
+            ..Scan::default()
+        })
+        .unwrap();
+    batches
+        .map(|batch| black_box(batch.unwrap()).num_rows())
+        .sum()
 }
 
 fn to_matrix(path: &Path) -> usize {
     let source = open(path, &OpenOptions::default()).unwrap();
     let batches = TransitionReader::new(source.as_ref(), &TransitionOptions::default()).unwrap();
-    batches.map(|batch| black_box(batch.unwrap()).n_rows()).sum()
+    batches
+        .map(|batch| black_box(batch.unwrap()).n_rows())
+        .sum()
 }
 
 fn read(criterion: &mut Criterion) {
-    for (group, variable) in [("read_minari", "KSIM_BENCH_MINARI"), ("read_d4rl", "KSIM_BENCH_D4RL")] {
-        let Some(path) = std::env::var_os(variable).map(PathBuf::from) else { continue };
+    for (group, variable) in [
+        ("read_minari", "KSIM_BENCH_MINARI"),
+        ("read_d4rl", "KSIM_BENCH_D4RL"),
+    ] {
+        let Some(path) = std::env::var_os(variable).map(PathBuf::from) else {
+            continue;
+        };
         let mut group = criterion.benchmark_group(group);
         group.sample_size(10);
         group.bench_function("to_arrow", |bench| bench.iter(|| to_arrow(&path)));

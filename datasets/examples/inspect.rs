@@ -11,17 +11,38 @@ fn main() -> Result<(), Box<dyn Error>> {
     let source = ksim_datasets::open(&found.path, &OpenOptions::default())?;
     let mut out = std::io::stdout().lock();
     let info = source.info();
-    writeln!(out, "{} ({}), episodes {}", info.id, info.format, info.episode_rule)?;
+    writeln!(
+        out,
+        "{} ({}), episodes {}",
+        info.id, info.format, info.episode_rule
+    )?;
     for warning in &info.warnings {
         writeln!(out, "warning: {warning}")?;
     }
     let summary = ksim_datasets::summarize(source.as_ref())?;
-    writeln!(out, "{} episodes, {} steps", summary.n_episodes, summary.n_steps)?;
+    writeln!(
+        out,
+        "{} episodes, {} steps",
+        summary.n_episodes, summary.n_steps
+    )?;
     for column in &summary.columns {
-        writeln!(out, "  {} {}[{}]", column.name, column.data_type, column.width)?;
+        writeln!(
+            out,
+            "  {} {}[{}]",
+            column.name, column.data_type, column.width
+        )?;
     }
-    writeln!(out, "returns {:?}\nsuccess {:?}\nends {:?}", summary.returns, summary.success_rate, summary.ends)?;
+    writeln!(
+        out,
+        "returns {:?}\nsuccess {:?}\nends {:?}",
+        summary.returns, summary.success_rate, summary.ends
+    )?;
     let reader = TransitionReader::new(source.as_ref(), &TransitionOptions::default())?;
-    writeln!(out, "states {} wide, actions {} wide", reader.state_width(), reader.action_width())?;
+    writeln!(
+        out,
+        "states {} wide, actions {} wide",
+        reader.state_width(),
+        reader.action_width()
+    )?;
     Ok(())
 }

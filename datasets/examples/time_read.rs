@@ -18,11 +18,21 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut n_rows = 0;
     if into == "arrow" {
         let is_wanted = |name: &&String| {
-            schema::belongs_to(name, schema::OBSERVATION) || schema::belongs_to(name, schema::ACTION)
+            schema::belongs_to(name, schema::OBSERVATION)
+                || schema::belongs_to(name, schema::ACTION)
         };
         let table = source.schema();
-        let columns = table.fields().iter().map(|field| field.name()).filter(is_wanted).cloned().collect();
-        for batch in source.scan(&Scan { columns: Some(columns), ..Scan::default() })? {
+        let columns = table
+            .fields()
+            .iter()
+            .map(|field| field.name())
+            .filter(is_wanted)
+            .cloned()
+            .collect();
+        for batch in source.scan(&Scan {
+            columns: Some(columns),
+            ..Scan::default()
+        })? {
             n_rows += batch?.num_rows();
         }
     } else {
@@ -30,6 +40,10 @@ fn main() -> Result<(), Box<dyn Error>> {
             n_rows += batch?.n_rows();
         }
     }
-    writeln!(std::io::stdout(), "{n_rows} {:.4}", start.elapsed().as_secs_f64())?;
+    writeln!(
+        std::io::stdout(),
+        "{n_rows} {:.4}",
+        start.elapsed().as_secs_f64()
+    )?;
     Ok(())
 }

@@ -9,8 +9,8 @@
 mod support;
 
 use ksim_datasets::{
-    DatasetError, DatasetSource, EpisodePolicy, Format, OpenOptions, TransitionOptions, TransitionReader, open,
-    summarize,
+    DatasetError, DatasetSource, EpisodePolicy, Format, OpenOptions, TransitionOptions,
+    TransitionReader, open, summarize,
 };
 use serde_json::Value;
 use std::path::Path;
@@ -49,10 +49,17 @@ fn file_rows(path: &Path, source: &dyn DatasetSource) -> Vec<u64> {
     let mut at = 0;
     for bytes in &some {
         // A final observation may be the next episode's first row: step back by one at most.
-        at = (at..all.len()).find(|&row| same_values(&all[row], bytes)).unwrap();
+        at = (at..all.len())
+            .find(|&row| same_values(&all[row], bytes))
+            .unwrap();
         rows.push(at as u64);
         at = (at + 1).min(all.len());
-        if rows.len() < some.len() && at > 0 && !all[at..].iter().any(|row| same_values(row, &some[rows.len()])) {
+        if rows.len() < some.len()
+            && at > 0
+            && !all[at..]
+                .iter()
+                .any(|row| same_values(row, &some[rows.len()]))
+        {
             at -= 1;
         }
     }
@@ -60,20 +67,31 @@ fn file_rows(path: &Path, source: &dyn DatasetSource) -> Vec<u64> {
 }
 
 fn same_values(all: &[f64], some: &[f64]) -> bool {
-    #[expect(clippy::cast_possible_truncation, reason = "qlearning_dataset casts to float32")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "qlearning_dataset casts to float32"
+    )]
     let narrow = |value: &f64| (*value as f32).to_bits();
     all.iter().map(narrow).eq(some.iter().map(narrow))
 }
 
 fn all_rows(path: &Path) -> Box<dyn DatasetSource> {
     // A limit no file reaches: terminals alone cut, and the tail is kept.
-    let options = OpenOptions { episode_policy: Some(EpisodePolicy::Clean), ..OpenOptions::default() };
+    let options = OpenOptions {
+        episode_policy: Some(EpisodePolicy::Clean),
+        ..OpenOptions::default()
+    };
     open(path, &options).unwrap()
 }
 
 fn pairs(value: &Value) -> Vec<(u64, u64)> {
     let number = |value: &Value| value.as_u64().unwrap();
-    value.as_array().unwrap().iter().map(|pair| (number(&pair[0]), number(&pair[1]))).collect()
+    value
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|pair| (number(&pair[0]), number(&pair[1])))
+        .collect()
 }
 
 #[test]
@@ -81,7 +99,9 @@ fn golden_d4rl_arrays_are_bit_equal() {
     let mut n_files = 0;
     for expected_path in files(&golden("formats/hdf5/d4rl"), ".expected.json") {
         let expected = read_json(&expected_path);
-        let Some(keys) = expected["keys"].as_object() else { continue };
+        let Some(keys) = expected["keys"].as_object() else {
+            continue;
+        };
         let path = expected_path.with_file_name(expected["file"].as_str().unwrap());
         let source = all_rows(&path);
         let table = Table::read_all(source.as_ref());
@@ -112,10 +132,12 @@ fn golden_d4rl_arrays_are_bit_equal() {
 }
 
 fn check_metadata(source: &dyn DatasetSource, inner: &str, array: &Value, place: &str) {
-    let found = inner.split('/').fold(Some(&Value::Null), |value, part| match value {
-        Some(Value::Null) => source.info().metadata.get(part),
-        other => other.and_then(|value| value.get(part)),
-    });
+    let found = inner
+        .split('/')
+        .fold(Some(&Value::Null), |value, part| match value {
+            Some(Value::Null) => source.info().metadata.get(part),
+            other => other.and_then(|value| value.get(part)),
+        });
     let found = found.unwrap_or_else(|| panic!("{place} is lost"));
     if let (Some(list), Some(last)) = (found.as_array(), array["last"].as_f64()) {
         assert_eq!(list.last().and_then(Value::as_f64), Some(last), "{place}");
@@ -145,13 +167,33 @@ fn golden_d4rl_episodes_of_every_policy() {
         if let Some(episodes) = expected["reader_episodes_start_end_terminal_timeout"].as_array() {
             check_clean(&path, episodes);
         }
-        let starts = |policy| of(policy).iter().map(|(start, _)| *start).collect::<Vec<_>>();
-        let numbers = |value: &Value| value.as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).collect::<Vec<_>>();
+        let starts = |policy| {
+            of(policy)
+                .iter()
+                .map(|(start, _)| *start)
+                .collect::<Vec<_>>()
+        };
+        let numbers = |value: &Value| {
+            value
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|n| n.as_u64().unwrap())
+                .collect::<Vec<_>>()
+        };
         if !expected["true_starts"].is_null() {
-            assert_eq!(starts(EpisodePolicy::PositionJump), numbers(&expected["true_starts"]), "{place}");
+            assert_eq!(
+                starts(EpisodePolicy::PositionJump),
+                numbers(&expected["true_starts"]),
+                "{place}"
+            );
         }
         if !expected["goal_change_rows"].is_null() {
-            assert_eq!(starts(EpisodePolicy::GoalChange)[1..], numbers(&expected["goal_change_rows"]), "{place}");
+            assert_eq!(
+                starts(EpisodePolicy::GoalChange)[1..],
+                numbers(&expected["goal_change_rows"]),
+                "{place}"
+            );
         }
         check_qlearning(&path, &expected);
     }
@@ -159,11 +201,16 @@ fn golden_d4rl_episodes_of_every_policy() {
 
 fn check_clean(path: &Path, episodes: &[Value]) {
     let options = with_policy(EpisodePolicy::Clean, &Value::Null);
-    let spans: Vec<(u64, u64)> =
-        episodes.iter().map(|e| (e[0].as_u64().unwrap(), e[1].as_u64().unwrap())).collect();
+    let spans: Vec<(u64, u64)> = episodes
+        .iter()
+        .map(|e| (e[0].as_u64().unwrap(), e[1].as_u64().unwrap()))
+        .collect();
     assert_eq!(cuts(path, &options), spans, "{}", path.display());
     let found = open(path, &options).unwrap().episodes().unwrap();
-    let ends: Vec<String> = found.iter().map(|episode| episode.end.to_string()).collect();
+    let ends: Vec<String> = found
+        .iter()
+        .map(|episode| episode.end.to_string())
+        .collect();
     let expected: Vec<&str> = episodes
         .iter()
         .map(|e| match (e[2].as_bool(), e[3].as_bool()) {
@@ -188,18 +235,36 @@ fn check_qlearning(path: &Path, expected: &Value) {
             assert_eq!(sha256_i64(&rows), sha, "{place}");
         }
         if let Some(terminals) = expected["qlearning_terminals_true"].as_u64() {
-            let flags = TransitionOptions { flags: true, ..TransitionOptions::default() };
+            let flags = TransitionOptions {
+                flags: true,
+                ..TransitionOptions::default()
+            };
             let source = open(path, &options).unwrap();
             let batches = TransitionReader::new(source.as_ref(), &flags).unwrap();
-            let found: usize =
-                batches.map(|batch| batch.unwrap().terminated.unwrap().iter().filter(|flag| **flag).count()).sum();
+            let found: usize = batches
+                .map(|batch| {
+                    batch
+                        .unwrap()
+                        .terminated
+                        .unwrap()
+                        .iter()
+                        .filter(|flag| **flag)
+                        .count()
+                })
+                .sum();
             assert_eq!(found as u64, terminals, "{place}");
         }
     }
     if let Some(count) = expected["qlearning_terminate_on_end_count"].as_u64() {
-        let options =
-            OpenOptions { terminate_on_end: true, ..with_policy(EpisodePolicy::D4rlQlearning, expected) };
-        assert_eq!(open(path, &options).unwrap().info().n_steps, Some(count), "{place}");
+        let options = OpenOptions {
+            terminate_on_end: true,
+            ..with_policy(EpisodePolicy::D4rlQlearning, expected)
+        };
+        assert_eq!(
+            open(path, &options).unwrap().info().n_steps,
+            Some(count),
+            "{place}"
+        );
     }
 }
 
@@ -214,15 +279,23 @@ fn golden_d4rl_faults_fail_as_they_must() {
         n_faults += 1;
         let name = expected["file"].as_str().unwrap();
         let path = expected_path.with_file_name(name);
-        let error = || open(&path, &OpenOptions::default()).err().unwrap_or_else(|| panic!("{name} opens"));
+        let error = || {
+            open(&path, &OpenOptions::default())
+                .err()
+                .unwrap_or_else(|| panic!("{name} opens"))
+        };
         let cause_is = |fits: fn(&DatasetError) -> bool| {
             let error = error();
-            assert!(error.to_string().contains(name), "{error} does not name the file");
+            assert!(
+                error.to_string().contains(name),
+                "{error} does not name the file"
+            );
             assert!(fits(error.cause()), "{name}: {:?}", error.cause());
         };
         match name {
             "fault_nan_inf.hdf5" => {
-                let summary = summarize(open(&path, &OpenOptions::default()).unwrap().as_ref()).unwrap();
+                let summary =
+                    summarize(open(&path, &OpenOptions::default()).unwrap().as_ref()).unwrap();
                 let count = |column: &str| {
                     let column = summary.columns.iter().find(|c| c.name == column).unwrap();
                     (column.n_nan, column.n_infinite)
@@ -237,10 +310,14 @@ fn golden_d4rl_faults_fail_as_they_must() {
                 assert_eq!(summarize(source.as_ref()).unwrap().n_steps, 0);
             }
             "fault_length_mismatch.hdf5" => {
-                cause_is(|e| matches!(e, DatasetError::LengthMismatch { key, .. } if key == "actions"));
+                cause_is(
+                    |e| matches!(e, DatasetError::LengthMismatch { key, .. } if key == "actions"),
+                );
             }
             "fault_missing_terminals.hdf5" => {
-                cause_is(|e| matches!(e, DatasetError::MissingKey { key, .. } if key == "terminals"));
+                cause_is(
+                    |e| matches!(e, DatasetError::MissingKey { key, .. } if key == "terminals"),
+                );
             }
             "fault_bomb_declared_shape.hdf5" => {
                 cause_is(|e| matches!(e, DatasetError::DeclaredSize { .. }));
@@ -260,22 +337,52 @@ fn golden_d4rl_fixtures_agree_with_each_other() {
     for path in files(&golden("data_fixtures/d4rl"), ".hdf5") {
         let source = all_rows(&path);
         let summary = summarize(source.as_ref()).unwrap();
-        assert_eq!(Some(summary.n_steps), source.info().n_steps, "{}", path.display());
+        assert_eq!(
+            Some(summary.n_steps),
+            source.info().n_steps,
+            "{}",
+            path.display()
+        );
         assert_eq!(summary.n_rows, summary.n_steps, "{}", path.display());
-        assert!(summary.columns.iter().all(|column| column.n_nan == 0), "{}", path.display());
-        for policy in [EpisodePolicy::Timeouts, EpisodePolicy::D4rlSequence, EpisodePolicy::D4rlQlearning] {
+        assert!(
+            summary.columns.iter().all(|column| column.n_nan == 0),
+            "{}",
+            path.display()
+        );
+        for policy in [
+            EpisodePolicy::Timeouts,
+            EpisodePolicy::D4rlSequence,
+            EpisodePolicy::D4rlQlearning,
+        ] {
             let source = open(&path, &with_policy(policy, &Value::Null)).unwrap();
-            let n_steps: u64 = source.episodes().unwrap().iter().map(|episode| episode.length).sum();
-            assert_eq!(Some(n_steps), source.info().n_steps, "{}: {policy}", path.display());
+            let n_steps: u64 = source
+                .episodes()
+                .unwrap()
+                .iter()
+                .map(|episode| episode.length)
+                .sum();
+            assert_eq!(
+                Some(n_steps),
+                source.info().n_steps,
+                "{}: {policy}",
+                path.display()
+            );
         }
     }
     // The same rows with rewards of shape (N, 1).
     let folder = golden("data_fixtures/d4rl");
-    let pair = ["hopper_medium_replay-v2.hdf5", "hopper_medium_replay_column_rewards.hdf5"];
+    let pair = [
+        "hopper_medium_replay-v2.hdf5",
+        "hopper_medium_replay_column_rewards.hdf5",
+    ];
     if pair.iter().all(|name| folder.join(name).exists()) {
         let tables = pair.map(|name| Table::read_all(all_rows(&folder.join(name)).as_ref()));
         for column in ["reward", "terminated", "observation"] {
-            assert_eq!(tables[0].row_bytes(column), tables[1].row_bytes(column), "{column}");
+            assert_eq!(
+                tables[0].row_bytes(column),
+                tables[1].row_bytes(column),
+                "{column}"
+            );
         }
     }
 }
@@ -294,27 +401,61 @@ fn golden_minari_episodes_are_bit_equal() {
         if expected["data_format"] != "hdf5" {
             // Other storages are refused by name until they are read.
             let error = open(&path, &OpenOptions::default()).err().unwrap();
-            assert!(matches!(error.cause(), DatasetError::Unsupported { .. }), "{id}: {error:?}");
+            assert!(
+                matches!(error.cause(), DatasetError::Unsupported { .. }),
+                "{id}: {error:?}"
+            );
             continue;
         }
         n_datasets += 1;
         let source = open(&path, &OpenOptions::default()).unwrap();
         assert_eq!(source.info().id, id);
-        assert_eq!(source.info().n_episodes, expected["total_episodes"].as_u64(), "{id}");
-        assert_eq!(source.info().n_steps, expected["total_steps"].as_u64(), "{id}");
+        assert_eq!(
+            source.info().n_episodes,
+            expected["total_episodes"].as_u64(),
+            "{id}"
+        );
+        assert_eq!(
+            source.info().n_steps,
+            expected["total_steps"].as_u64(),
+            "{id}"
+        );
         let records = source.episodes().unwrap();
         for (record, episode) in records.iter().zip(expected["episodes"].as_array().unwrap()) {
             let place = format!("{id} episode {}", record.episode_index);
-            assert_eq!(Some(record.episode_index), episode["id"].as_i64(), "{place}");
+            assert_eq!(
+                Some(record.episode_index),
+                episode["id"].as_i64(),
+                "{place}"
+            );
             assert_eq!(Some(record.length), episode["length"].as_u64(), "{place}");
             assert_eq!(record.seed, episode["metadata"]["seed"].as_u64(), "{place}");
-            assert_eq!(Value::Object(record.attributes.clone()), sorted(&episode["metadata"]), "{place}");
+            assert_eq!(
+                Value::Object(record.attributes.clone()),
+                sorted(&episode["metadata"]),
+                "{place}"
+            );
             let table = Table::read_episode(source.as_ref(), record.episode_index);
-            check_leaves(&table, "observation", &episode["observations"], false, &place);
+            check_leaves(
+                &table,
+                "observation",
+                &episode["observations"],
+                false,
+                &place,
+            );
             check_leaves(&table, "action", &episode["actions"], true, &place);
-            table.leaf("reward").steps().assert_is(&episode["rewards"], &place);
-            table.leaf("terminated").steps().assert_is(&episode["terminations"], &place);
-            table.leaf("truncated").steps().assert_is(&episode["truncations"], &place);
+            table
+                .leaf("reward")
+                .steps()
+                .assert_is(&episode["rewards"], &place);
+            table
+                .leaf("terminated")
+                .steps()
+                .assert_is(&episode["terminations"], &place);
+            table
+                .leaf("truncated")
+                .steps()
+                .assert_is(&episode["truncations"], &place);
             if episode["infos"].is_object() {
                 check_leaves(&table, "info", &episode["infos"], false, &place);
             }
@@ -329,7 +470,11 @@ fn sorted(value: &Value) -> Value {
         Value::Object(map) => {
             let mut keys: Vec<_> = map.iter().collect();
             keys.sort_by(|a, b| a.0.cmp(b.0));
-            Value::Object(keys.into_iter().map(|(k, v)| (k.clone(), sorted(v))).collect())
+            Value::Object(
+                keys.into_iter()
+                    .map(|(k, v)| (k.clone(), sorted(v)))
+                    .collect(),
+            )
         }
         other => other.clone(),
     }
@@ -351,28 +496,44 @@ fn check_leaves(table: &Table, column: &str, expected: &Value, steps: bool, plac
     }
     let leaf: &Leaf = table.leaf(column);
     let place = format!("{place} {column}");
-    if steps { leaf.steps().assert_is(expected, &place) } else { leaf.assert_is(expected, &place) }
+    if steps {
+        leaf.steps().assert_is(expected, &place)
+    } else {
+        leaf.assert_is(expected, &place)
+    }
 }
 
 #[test]
 fn golden_minari_versions_and_damage() {
     let root = minari_root();
     for metadata in files(&root, "metadata.json") {
-        let Some(dataset) = metadata.parent().and_then(Path::parent).filter(|_| metadata.ends_with("data/metadata.json"))
+        let Some(dataset) = metadata
+            .parent()
+            .and_then(Path::parent)
+            .filter(|_| metadata.ends_with("data/metadata.json"))
         else {
             continue;
         };
         let id = dataset.to_string_lossy();
         if id.contains("future") {
             let error = open(dataset, &OpenOptions::default()).err().unwrap();
-            assert!(matches!(error.cause(), DatasetError::UnknownVersion { .. }), "{error:?}");
-            let forced = OpenOptions { force: true, ..OpenOptions::default() };
+            assert!(
+                matches!(error.cause(), DatasetError::UnknownVersion { .. }),
+                "{error:?}"
+            );
+            let forced = OpenOptions {
+                force: true,
+                ..OpenOptions::default()
+            };
             let source = open(dataset, &forced).unwrap();
             assert!(!source.info().warnings.is_empty());
         } else if id.contains("truncated") {
             let error = open(dataset, &OpenOptions::default()).err().unwrap();
             assert!(error.to_string().contains("main_data.hdf5"), "{error}");
-            assert!(matches!(error.cause(), DatasetError::Corrupt { .. }), "{error:?}");
+            assert!(
+                matches!(error.cause(), DatasetError::Corrupt { .. }),
+                "{error:?}"
+            );
         }
     }
 }
@@ -385,12 +546,31 @@ fn golden_minari_fixtures_open() {
         let source = open(dataset, &OpenOptions::default()).unwrap();
         assert_eq!(source.info().format, Format::MinariHdf5);
         let summary = summarize(source.as_ref()).unwrap();
-        assert_eq!(Some(summary.n_steps), source.info().n_steps, "{}", dataset.display());
-        assert_eq!(summary.n_rows, summary.n_steps + summary.n_episodes, "{}", dataset.display());
+        assert_eq!(
+            Some(summary.n_steps),
+            source.info().n_steps,
+            "{}",
+            dataset.display()
+        );
+        assert_eq!(
+            summary.n_rows,
+            summary.n_steps + summary.n_episodes,
+            "{}",
+            dataset.display()
+        );
         if dataset.to_string_lossy().contains("antmaze") {
             assert_eq!(source.info().observation_width(), 31);
-            let names: Vec<&str> = source.info().observation.iter().map(|leaf| leaf.column.as_str()).collect();
-            let goals_frame = ["observation.achieved_goal", "observation.observation", "observation.desired_goal"];
+            let names: Vec<&str> = source
+                .info()
+                .observation
+                .iter()
+                .map(|leaf| leaf.column.as_str())
+                .collect();
+            let goals_frame = [
+                "observation.achieved_goal",
+                "observation.observation",
+                "observation.desired_goal",
+            ];
             assert_eq!(names, goals_frame);
             assert_eq!(summary.n_success_known, summary.n_episodes);
         }

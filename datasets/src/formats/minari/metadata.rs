@@ -1,6 +1,9 @@
 //! The dataset's `metadata.json`.
 
-#![cfg_attr(not(feature = "hdf5"), allow(dead_code, reason = "listing needs a part, the HDF5 reader all"))]
+#![cfg_attr(
+    not(feature = "hdf5"),
+    allow(dead_code, reason = "listing needs a part, the HDF5 reader all")
+)]
 
 use std::path::Path;
 

@@ -232,6 +232,7 @@ impl ParquetSource {
             episodes: scan.episodes.clone(),
             tracker: EpisodeTracker::default(),
             null_action: None,
+            failed: false,
         })
     }
 }
@@ -244,6 +245,7 @@ struct ParquetScan<'a> {
     episodes: Option<Vec<i64>>,
     tracker: EpisodeTracker,
     null_action: Option<(i64, u64)>,
+    failed: bool,
 }
 
 impl ParquetScan<'_> {
@@ -325,19 +327,21 @@ impl Iterator for ParquetScan<'_> {
     type Item = Result<RecordBatch, ArrowError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        loop {
+        while !self.failed {
             let batch = self
                 .reader
                 .next()?
                 .map_err(DatasetError::arrow("read rows"));
-            let batch = batch.and_then(|batch| self.convert(&batch));
-            match batch {
+            match batch.and_then(|batch| self.convert(&batch)) {
                 Ok(batch) if batch.num_rows() == 0 && self.episodes.is_some() => {}
-                other => {
-                    return Some(other.map_err(|error| error.in_file(&self.source.path).into()));
+                Ok(batch) => return Some(Ok(batch)),
+                Err(error) => {
+                    self.failed = true;
+                    return Some(Err(error.in_file(&self.source.path).into()));
                 }
             }
         }
+        None
     }
 }
 
