@@ -121,28 +121,35 @@ fn explained(document: &Document) -> String {
             .find(|result| result.file.starts_with(name));
         result.map_or(f64::NAN, |result| result.k_sim)
     };
-    let (good, noisy, random) = (k_sim("good"), k_sim("noisy"), k_sim("random"));
+    let words = MEANING
+        .replace("GOOD", &format!("{:.2}", k_sim("good")))
+        .replace("NOISY", &format!("{:.2}", k_sim("noisy")))
+        .replace("RANDOM", &format!("{:.2}", k_sim("random")));
     format!(
-        "{table}\n{provenance}\n\
-         What the numbers mean\n\
-         K-Sim says how closely the behavior in a rollout stays to the training data. For every step it\n\
-         takes the 50 dataset states nearest to the rollout's state, among them the one whose action is\n\
-         nearest to the policy's, and turns the distance of the two steps into a score: 1 on the data,\n\
-         falling towards 0 far from it. K-Sim is the mean over the steps.\n\
-         \n\
-         Here the policy that made the dataset scores {good:.2}, the same policy with strong noise on its\n\
-         actions {noisy:.2}, and random actions {random:.2}: only the first behaves as its data do. The\n\
-         intervals say how much these means may vary with other episodes of the same policy.\n\
-         \n\
-         What they do not say\n\
-         - Not whether a policy succeeds: one that fails just as the data do scores high.\n\
-         - Not which of two poor policies is worse: once behavior leaves the data, all of it is far away,\n\
-           and random need not score below noisy.\n\
-         - Nothing at all if most steps are saturated (score 1): then compare the mean d/√d, which goes on.\n\
-         - Scores compare only where the fingerprints agree: same dataset, columns and parameters.\n\
-         \n\
-         Try it: ksim demo --export demo-data\n",
-        table = table::results(document),
-        provenance = table::provenance(document),
+        "{}\n{}\n{words}",
+        table::results(document),
+        table::provenance(document)
     )
 }
+
+/// What the numbers mean, and what they do not.
+const MEANING: &str = "\
+What the numbers mean
+K-Sim says how closely the behavior in a rollout stays to the training data. For every step it takes
+the 50 dataset states nearest to the rollout's state, among them the one whose action is nearest to
+what the policy did, and turns the distance of the two steps into a score: 1 beside the data, falling
+towards 0 far from it. K-Sim is the mean over all steps.
+
+Here the policy that made the dataset scores GOOD, the same policy with strong noise on its actions
+NOISY, and random actions RANDOM: only the first behaves as its data do. The intervals say how much the
+mean over episodes may vary with other episodes of the same policy.
+
+What they do not say
+- Not whether a policy succeeds: one that fails just as its data do scores high.
+- Not which of two poor policies is worse: once behavior leaves the data, all of it is far away, and
+  random actions can score above noisy ones.
+- Nothing at all where most steps are saturated (score 1): compare the mean d/√d then, which goes on.
+- Scores compare only where their fingerprints agree: same dataset, columns, parameters and search.
+
+Try it on files of your own; to begin with these: ksim demo --export demo-data
+";

@@ -1,0 +1,692 @@
+//! The command at its border: exit codes, stdout and stderr, files.
+
+#![allow(missing_docs, reason = "tests are named for what they say")]
+
+mod process;
+
+use process::{Demo, Rollouts, batches, column, command, finished, ksim};
+use serde_json::Value;
+
+/// Without what differs between two runs of the same thing.
+fn timeless(mut document: Value) -> Value {
+    let fields = document.as_object_mut().expect("an object");
+    fields.remove("elapsed_s");
+    fields.remove("threads");
+    for result in fields["results"].as_array_mut().expect("an array") {
+        result
+            .as_object_mut()
+            .expect("an object")
+            .remove("elapsed_s");
+    }
+    document
+}
+
+fn keys(value: &Value) -> Vec<&str> {
+    value
+        .as_object()
+        .expect("an object")
+        .keys()
+        .map(String::as_str)
+        .collect()
+}
+
+#[test]
+fn help_names_every_command_and_flag() {
+    let root = ksim(["--help"]);
+    assert_eq!(root.code, 0);
+    for part in [
+        "score",
+        "dataset",
+        "demo",
+        "--threads",
+        "--quiet",
+        "Exit status",
+    ] {
+        assert!(root.stdout.contains(part), "{part}");
+    }
+    let score = ksim(["score", "--help"]);
+    for flag in [
+        "--dataset",
+        "--format",
+        "--per-step",
+        "--definition",
+        "--state-columns",
+        "--n-clusters",
+        "--n-neighbors",
+        "--gamma",
+        "--search",
+        "--centers",
+        "--k-means",
+        "--seed",
+        "--threads",
+        "--exclude-same-episode",
+        "--approximation-error",
+        "--n-resamples",
+        "--episode-policy",
+        "--max-episode-steps",
+        "--force",
+        "--observation-columns",
+        "--action-columns",
+        "--episode-column",
+    ] {
+        assert!(score.stdout.contains(flag), "{flag}");
+    }
+    assert_eq!(
+        ksim(["--version"]).stdout,
+        format!("ksim {}\n", env!("CARGO_PKG_VERSION"))
+    );
+}
+
+#[test]
+fn wrong_usage_is_exit_2() {
+    let demo = Demo::new();
+    ksim::<&str>([]).failed(2, &["Usage"]);
+    ksim(["score", "x.parquet"]).failed(2, &["--dataset"]);
+    let score = |flags: &[&str]| demo.score(&["good.parquet"], flags);
+    score(&["--gamma", "0"]).failed(2, &["expected a finite number above 0"]);
+    score(&["--n-neighbors", "0"]).failed(2, &["whole number"]);
+    score(&["--threads", "0"]).failed(2, &["--threads"]);
+    score(&["--search", "fast"]).failed(2, &["kd-tree"]);
+    score(&["--approximation-error"]).failed(2, &["--search clusters"]);
+    score(&["--centers", "c.safetensors", "--search", "linear"]).failed(2, &["--search linear"]);
+}
+
+#[test]
+fn the_demo_tells_good_from_noisy() {
+    let demo = ksim(["demo"]);
+    assert_eq!((demo.code, demo.stderr.as_str()), (0, ""));
+    for part in [
+        "good.parquet",
+        "95 % interval",
+        "exact (blocked)",
+        "What they do not say",
+    ] {
+        assert!(demo.stdout.contains(part), "{part}");
+    }
+    let document = ksim(["demo", "--format", "json"]).json();
+    let k_sim = |at: usize| document["results"][at]["k_sim"].as_f64().expect("a number");
+    assert!(k_sim(0) > k_sim(1) + 0.15, "{} {}", k_sim(0), k_sim(1));
+    assert!(k_sim(0) > k_sim(2) + 0.15, "{} {}", k_sim(0), k_sim(2));
+}
+
+#[test]
+fn the_json_keeps_its_schema() {
+    let demo = Demo::new();
+    let run = demo.score(&["good.parquet", "good.parquet"], &["--format", "json"]);
+    assert_eq!(run.stderr, "");
+    let document = run.json();
+    assert_eq!(document["schema"], "ksim.score/1");
+    assert_eq!(
+        keys(&document),
+        [
+            "schema",
+            "version",
+            "results",
+            "dataset",
+            "parameters",
+            "search",
+            "fingerprint",
+            "threads",
+            "elapsed_s"
+        ]
+    );
+    let [first, second] = document["results"].as_array().expect("an array").as_slice() else {
+        panic!("two results");
+    };
+    assert_eq!(first["k_sim"], second["k_sim"]);
+    assert_eq!(
+        keys(first),
+        [
+            "file",
+            "planner",
+            "n_episodes",
+            "n_steps",
+            "k_sim",
+            "k_sim_episode_mean",
+            "interval_95",
+            "k_sim_state",
+            "k_sim_state_episode_mean",
+            "k_sim_action",
+            "k_sim_action_episode_mean",
+            "saturated_share",
+            "mean_scaled_distance",
+            "scaled_distance_quantiles",
+            "approximation_error",
+            "episodes",
+            "warnings",
+            "elapsed_s"
+        ]
+    );
+    assert_eq!(
+        keys(&first["scaled_distance_quantiles"]),
+        ["q05", "q25", "q50", "q75", "q95"]
+    );
+    assert_eq!(
+        keys(&first["episodes"][0]),
+        [
+            "episode_index",
+            "n_steps",
+            "k_sim",
+            "k_sim_state",
+            "k_sim_action",
+            "saturated_share",
+            "mean_scaled_distance"
+        ]
+    );
+    assert_eq!(
+        keys(&document["dataset"]),
+        [
+            "name",
+            "path",
+            "format",
+            "n_episodes",
+            "n_steps",
+            "fingerprint",
+            "episode_rule",
+            "warnings"
+        ]
+    );
+    assert_eq!(
+        keys(&document["parameters"]),
+        [
+            "definition",
+            "headline",
+            "gamma",
+            "n_neighbors",
+            "n_clusters",
+            "state_columns",
+            "state_column_names",
+            "state_dim",
+            "action_dim",
+            "seed",
+            "n_resamples",
+            "exclude_same_episode"
+        ]
+    );
+    assert_eq!(
+        keys(&document["search"]),
+        ["requested", "engine", "exact", "clusters"]
+    );
+    assert_eq!(document["parameters"]["state_dim"], 31);
+    assert_eq!(document["search"]["exact"], true);
+    assert_eq!(
+        (&first["n_episodes"], &first["n_steps"]),
+        (&4.into(), &1200.into())
+    );
+}
+
+#[test]
+fn per_step_rows_are_the_evidence_behind_the_json() {
+    let demo = Demo::new();
+    let out = demo.at("steps.parquet");
+    let flags = ["--format", "json", "--per-step", &out];
+    let document = demo.score(&["noisy.parquet"], &flags).json();
+    let names: Vec<String> = batches(&out)[0]
+        .schema()
+        .fields()
+        .iter()
+        .map(|field| field.name().clone())
+        .collect();
+    assert_eq!(
+        names,
+        [
+            "episode_index",
+            "step_index",
+            "score",
+            "distance",
+            "state_distance",
+            "action_distance",
+            "cluster",
+            "reference_row",
+            "reference_episode_index",
+            "reference_step_index"
+        ]
+    );
+    let result = &document["results"][0];
+    let score = column(&out, "score");
+    assert_eq!(score.len(), 1200);
+    let mean = score.iter().sum::<f64>() / score.len() as f64;
+    assert!((mean - result["k_sim"].as_f64().unwrap()).abs() < 1e-12);
+    let scaled = column(&out, "distance").iter().sum::<f64>() / 1200.0 / 39f64.sqrt();
+    assert!((scaled - result["mean_scaled_distance"].as_f64().unwrap()).abs() < 1e-12);
+    // The demo's dataset has episodes of 1000 steps.
+    let row = column(&out, "reference_row");
+    let places = column(&out, "reference_episode_index")
+        .into_iter()
+        .zip(column(&out, "reference_step_index"));
+    for (row, (episode, step)) in row.into_iter().zip(places) {
+        assert_eq!(row, episode * 1000.0 + step);
+    }
+    assert!(
+        column(&out, "cluster")
+            .iter()
+            .all(|cluster| cluster.is_nan())
+    );
+    assert_eq!(demo.others().len(), 1);
+}
+
+#[test]
+fn several_files_are_told_apart_in_the_per_step_rows() {
+    let demo = Demo::new();
+    let out = demo.at("steps.parquet");
+    let flags = ["--search", "clusters", "--per-step", &out];
+    assert_eq!(
+        demo.score(&["good.parquet", "random.parquet"], &flags).code,
+        0
+    );
+    let batches = batches(&out);
+    assert_eq!(batches[0].schema().field(0).name(), "file");
+    assert_eq!(
+        batches
+            .iter()
+            .map(arrow::array::RecordBatch::num_rows)
+            .sum::<usize>(),
+        2400
+    );
+    assert!(
+        column(&out, "cluster")
+            .iter()
+            .all(|&cluster| (0.0..50.0).contains(&cluster))
+    );
+}
+
+#[test]
+fn threads_do_not_change_a_bit() {
+    let demo = Demo::new();
+    let run = |threads: &str, out: &str| {
+        let flags = [
+            "--format",
+            "json",
+            "--search",
+            "clusters",
+            "--threads",
+            threads,
+            "--per-step",
+            out,
+        ];
+        timeless(
+            demo.score(&["good.parquet", "noisy.parquet"], &flags)
+                .json(),
+        )
+    };
+    let (one, two) = (demo.at("one.parquet"), demo.at("two.parquet"));
+    assert_eq!(run("1", &one), run("2", &two));
+    assert_eq!(std::fs::read(one).unwrap(), std::fs::read(two).unwrap());
+}
+
+#[test]
+fn exact_engines_agree_and_share_a_fingerprint() {
+    let demo = Demo::new();
+    let run = |flags: &[&str]| {
+        demo.score(&["noisy.parquet"], &[&["--format", "json"], flags].concat())
+            .json()
+    };
+    let [auto, linear, blocked] =
+        ["auto", "linear", "blocked"].map(|name| run(&["--search", name]));
+    assert_eq!(auto["search"]["engine"], "blocked");
+    for other in [&linear, &blocked] {
+        assert_eq!(auto["fingerprint"], other["fingerprint"]);
+        assert_eq!(auto["results"][0]["k_sim"], other["results"][0]["k_sim"]);
+    }
+    let tree = run(&["--search", "kd-tree", "--state-columns", "0..2"]);
+    let flat = run(&["--search", "linear", "--definition", "released"]);
+    assert_eq!(tree["results"][0]["k_sim"], flat["results"][0]["k_sim"]);
+    assert_eq!(tree["fingerprint"], flat["fingerprint"]);
+    assert_ne!(tree["fingerprint"], auto["fingerprint"]);
+    assert_eq!(flat["parameters"]["headline"], "k_sim_episode_mean");
+    let clusters = run(&["--search", "clusters"]);
+    assert_ne!(clusters["fingerprint"], auto["fingerprint"]);
+    assert_eq!(clusters["search"]["exact"], false);
+    assert_eq!(clusters["parameters"]["n_clusters"], 50);
+    demo.score(&["noisy.parquet"], &["--search", "kd-tree"])
+        .failed(1, &["1 to 8 columns", "found 31"]);
+}
+
+#[test]
+fn the_approximation_error_is_measured_on_request() {
+    let demo = Demo::new();
+    let flags = [
+        "--format",
+        "json",
+        "--search",
+        "clusters",
+        "--approximation-error",
+    ];
+    let document = demo.score(&["good.parquet"], &flags).json();
+    let error = &document["results"][0]["approximation_error"];
+    let number = |name: &str| error[name].as_f64().expect("a number");
+    assert!((0.2..1.0).contains(&number("recall_at_k")));
+    assert!(number("mean_score_difference") < 0.0);
+    assert!(number("max_score_difference") <= 1.0);
+    assert!((0.0..1.0).contains(&number("match_differs_share")));
+}
+
+#[test]
+fn given_centers_are_used() {
+    let demo = Demo::new();
+    let path = demo.at("centers.safetensors");
+    let bytes: Vec<u8> = [0.0f64, 0.0, 1.0, 1.0]
+        .iter()
+        .flat_map(|v| v.to_le_bytes())
+        .collect();
+    let view = safetensors::tensor::TensorView::new(safetensors::Dtype::F64, vec![2, 2], &bytes);
+    let file = safetensors::serialize([("xy.centers", view.unwrap())], None).unwrap();
+    std::fs::write(&path, file).unwrap();
+    let flags = [
+        "--format",
+        "json",
+        "--centers",
+        &path,
+        "--state-columns",
+        "achieved",
+    ];
+    demo.score(&["good.parquet"], &flags)
+        .failed(1, &["achieved", "observation (0..31)"]);
+    let flags = [
+        "--format",
+        "json",
+        "--centers",
+        &path,
+        "--state-columns",
+        "0..2",
+    ];
+    let document = demo.score(&["good.parquet"], &flags).json();
+    assert_eq!(
+        document["search"]["clusters"]["centers_tensor"],
+        "xy.centers"
+    );
+    assert_eq!(document["search"]["clusters"]["n_clusters"], 2);
+    let flags = ["--centers", &path];
+    demo.score(&["good.parquet"], &flags)
+        .failed(1, &["[n_clusters, 31]", "xy.centers F64 [2, 2]"]);
+}
+
+#[test]
+fn a_dataset_against_itself_says_so() {
+    let demo = Demo::new();
+    let plain = demo.score(&["dataset.parquet"], &["--format", "json"]);
+    assert!(
+        plain.stderr.contains("--exclude-same-episode"),
+        "{}",
+        plain.stderr
+    );
+    assert_eq!(plain.json()["results"][0]["k_sim"], 1.0);
+    let excluded = demo.score(
+        &["dataset.parquet"],
+        &["--format", "json", "--exclude-same-episode"],
+    );
+    assert_eq!(excluded.stderr, "");
+    let k_sim = excluded.json()["results"][0]["k_sim"].as_f64().unwrap();
+    assert!((0.5..0.95).contains(&k_sim), "{k_sim}");
+    let other = demo.score(&["good.parquet"], &["--exclude-same-episode"]);
+    other.failed(1, &["good.parquet", "scoring a dataset against itself"]);
+}
+
+#[test]
+fn one_episode_has_no_interval() {
+    let demo = Demo::new();
+    Rollouts::new(&[3, 3, 3], [31, 8]).write(demo.at("one.parquet"));
+    let run = demo.score(&["one.parquet"], &["--format", "json"]);
+    assert!(
+        run.stderr.contains("a single episode has no interval"),
+        "{}",
+        run.stderr
+    );
+    assert_eq!(run.json()["results"][0]["interval_95"], Value::Null);
+    let quiet = demo.score(&["one.parquet"], &["--quiet"]);
+    assert_eq!((quiet.code, quiet.stderr.as_str()), (0, ""));
+}
+
+#[test]
+fn planners_of_one_file_get_rows_of_their_own() {
+    let demo = Demo::new();
+    let planners = Some(vec!["b", "b", "a", "b"]);
+    Rollouts {
+        planners,
+        ..Rollouts::new(&[0, 0, 1, 2], [31, 8])
+    }
+    .write(demo.at("two.parquet"));
+    let out = demo.at("steps.parquet");
+    let flags = ["--format", "json", "--per-step", &out];
+    let document = demo.score(&["two.parquet"], &flags).json();
+    let results = document["results"].as_array().unwrap();
+    let rows: Vec<_> = results
+        .iter()
+        .map(|r| (&r["planner"], &r["n_episodes"], &r["n_steps"]))
+        .collect();
+    assert_eq!(
+        rows,
+        [
+            (&"b".into(), &2.into(), &3.into()),
+            (&"a".into(), &1.into(), &1.into())
+        ]
+    );
+    assert_eq!(batches(&out)[0].schema().field(0).name(), "planner");
+}
+
+#[test]
+fn columns_of_other_names_are_named_on_the_command_line() {
+    let demo = Demo::new();
+    let names = ["trial", "sensors", "torque"];
+    Rollouts {
+        names,
+        ..Rollouts::new(&[0, 0, 1], [31, 8])
+    }
+    .write(demo.at("own.parquet"));
+    demo.score(&["own.parquet"], &[])
+        .failed(1, &["own.parquet", "no observation column"]);
+    let flags = [
+        "--observation-columns=sensors",
+        "--action-columns=torque",
+        "--episode-column=trial",
+        "--dataset-observation-columns=observation",
+        "--dataset-action-columns=action",
+        "--dataset-episode-column=episode_index",
+        "--format=json",
+    ];
+    assert_eq!(
+        demo.score(&["own.parquet"], &flags).json()["results"][0]["n_episodes"],
+        2
+    );
+}
+
+#[test]
+fn bad_input_is_named_and_leaves_no_file() {
+    let demo = Demo::new();
+    Rollouts::new(&[0, 0], [29, 8]).write(demo.at("narrow.parquet"));
+    Rollouts::new(&[0, 0], [31, 6]).write(demo.at("arms.parquet"));
+    Rollouts::new(&[], [31, 8]).write(demo.at("norows.parquet"));
+    let mut bad = Rollouts::new(&[5, 5, 5], [31, 8]);
+    bad.observations[31 + 7] = f32::NAN;
+    bad.write(demo.at("nan.parquet"));
+    let mut bad = Rollouts::new(&[5, 5, 5], [31, 8]);
+    bad.actions[2 * 8] = f32::INFINITY;
+    bad.write(demo.at("inf.parquet"));
+    std::fs::write(demo.at("zero.parquet"), "").unwrap();
+    std::fs::write(demo.at("notes.txt"), "hello").unwrap();
+    let whole = std::fs::read(demo.at("good.parquet")).unwrap();
+    std::fs::write(demo.at("half.parquet"), &whole[..whole.len() / 2]).unwrap();
+    std::fs::create_dir(demo.at("folder")).unwrap();
+    let before = demo.others().len();
+    let out = demo.at("steps.parquet");
+    for (file, parts) in [
+        (
+            "narrow.parquet",
+            &[
+                "narrow.parquet",
+                "observations have 29 columns, expected 31",
+                "dataset.parquet",
+            ][..],
+        ),
+        (
+            "arms.parquet",
+            &["arms.parquet", "actions have 6 columns, expected 8"],
+        ),
+        ("norows.parquet", &["norows.parquet", "no "]),
+        (
+            "nan.parquet",
+            &[
+                "nan.parquet: episode 5, step 1: observation column 7",
+                "NaN",
+            ],
+        ),
+        (
+            "inf.parquet",
+            &["inf.parquet: episode 5, step 2: action column 0 holds inf"],
+        ),
+        ("zero.parquet", &["zero.parquet", "empty"]),
+        ("notes.txt", &["notes.txt", "hello"]),
+        ("half.parquet", &["half.parquet"]),
+        ("folder", &["folder", "not a dataset"]),
+        ("missing.parquet", &["missing.parquet"]),
+    ] {
+        demo.score(&["good.parquet", file], &["--per-step", &out])
+            .failed(1, parts);
+        let dataset = demo.at(file);
+        ksim([
+            "score",
+            &demo.at("good.parquet"),
+            "--dataset",
+            &dataset,
+            "--per-step",
+            &out,
+        ])
+        .failed(1, &[]);
+    }
+    assert_eq!(demo.others().len(), before, "{:?}", demo.others());
+}
+
+#[test]
+fn dataset_names_are_looked_up_with_care() {
+    let demo = Demo::new();
+    let good = demo.at("good.parquet");
+    let roots = tempfile::tempdir().unwrap();
+    let run = |name: &str| {
+        let mut command = command();
+        command.env("MINARI_DATASETS_PATH", roots.path());
+        finished(
+            &command
+                .args(["score", &good, "--dataset", name])
+                .output()
+                .unwrap(),
+        )
+    };
+    run("../antmaze-large-play").failed(1, &[".."]);
+    run("D4RL/../../antmaze/large-play-v1").failed(1, &[".."]);
+    run("antmaze-large-play").failed(1, &["antmaze-large-play", "looked for", "minari download"]);
+}
+
+#[test]
+fn a_target_that_cannot_be_written_is_refused_before_the_work() {
+    let demo = Demo::new();
+    std::fs::create_dir(demo.at("folder")).unwrap();
+    let score = |target: &str| demo.score(&["no-such.parquet"], &["--per-step", &demo.at(target)]);
+    score("folder").failed(1, &["is a folder"]);
+    score("none/steps.parquet").failed(1, &["there is no folder"]);
+}
+
+#[test]
+fn dataset_list_says_where_it_looked() {
+    let roots = tempfile::tempdir().unwrap();
+    let run = |format: &str| {
+        let mut command = command();
+        command.env("MINARI_DATASETS_PATH", roots.path());
+        finished(
+            &command
+                .args(["dataset", "list", "--format", format])
+                .output()
+                .unwrap(),
+        )
+    };
+    let text = run("text").stdout;
+    for part in [
+        "no datasets found",
+        roots.path().to_str().unwrap(),
+        "D4RL_DATASET_DIR",
+        "minari download",
+    ] {
+        assert!(text.contains(part), "no {part} in {text}");
+    }
+    let json = run("json").json();
+    assert_eq!(json["schema"], "ksim.dataset-list/1");
+    assert_eq!(json["datasets"], Value::Array(Vec::new()));
+}
+
+#[test]
+fn dataset_info_counts() {
+    let demo = Demo::new();
+    let run = ksim([
+        "dataset",
+        "info",
+        &demo.at("dataset.parquet"),
+        "--format",
+        "json",
+    ]);
+    let json = run.json();
+    assert_eq!(json["schema"], "ksim.dataset-info/1");
+    assert_eq!(
+        (&json["n_episodes"], &json["n_steps"]),
+        (&12.into(), &12_000.into())
+    );
+    assert_eq!(
+        (&json["observation_width"], &json["action_width"]),
+        (&31.into(), &8.into())
+    );
+    let text = ksim(["dataset", "info", &demo.at("dataset.parquet")]).stdout;
+    assert!(
+        text.contains("12000") && text.contains("observation"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_reader_that_had_enough_is_no_failure() {
+    let mut child = command()
+        .args(["demo", "--format", "json"])
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+}
+
+/// Sends a signal to a process of this test.
+#[cfg(unix)]
+fn interrupted(signal: &str) {
+    let demo = Demo::new();
+    let (out, dataset) = (demo.at("steps.parquet"), demo.at("dataset.parquet"));
+    let mut command = command();
+    command.args([
+        "score",
+        "--search",
+        "linear",
+        "--dataset",
+        &dataset,
+        "--per-step",
+        &out,
+    ]);
+    // Long enough to be interrupted: the dataset against itself, again and again.
+    command.args(std::iter::repeat_n(&dataset, 500));
+    let mut child = command.stderr(std::process::Stdio::null()).spawn().unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(700));
+    let id = child.id().to_string();
+    assert!(
+        std::process::Command::new("kill")
+            .args([signal, &id])
+            .status()
+            .unwrap()
+            .success()
+    );
+    let code = child.wait().unwrap().code();
+    let expected = if signal == "-KILL" { None } else { Some(130) };
+    assert_eq!(code, expected);
+    assert!(demo.others().is_empty(), "{:?}", demo.others());
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_leaves_no_file() {
+    interrupted("-INT");
+    interrupted("-TERM");
+    interrupted("-KILL");
+}
