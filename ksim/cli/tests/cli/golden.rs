@@ -1,14 +1,9 @@
 //! The whole path, from Minari HDF5 and Parquet to the result, against values recorded from
 //! scikit-learn and numpy: `$KSIM_GOLDEN`, or the copies in the repository.
 
-#![cfg(feature = "hdf5")]
-#![allow(missing_docs, reason = "tests are named for what they say")]
-
-mod process;
-
 use std::path::{Path, PathBuf};
 
-use process::{Rollouts, column, command, finished};
+use crate::process::{Rollouts, column, command, finished};
 use safetensors::SafeTensors;
 use serde_json::Value;
 
@@ -23,7 +18,7 @@ fn golden() -> PathBuf {
 }
 
 fn f64s(tensors: &SafeTensors<'_>, name: &str) -> Vec<f64> {
-    let bytes = tensors.tensor(name).unwrap().data().as_chunks().0;
+    let bytes = tensors.tensor(name).expect(name).data().as_chunks().0;
     bytes
         .iter()
         .map(|&bytes| f64::from_le_bytes(bytes))
@@ -31,7 +26,7 @@ fn f64s(tensors: &SafeTensors<'_>, name: &str) -> Vec<f64> {
 }
 
 fn f32s(tensors: &SafeTensors<'_>, name: &str) -> Vec<f32> {
-    let bytes = tensors.tensor(name).unwrap().data().as_chunks().0;
+    let bytes = tensors.tensor(name).expect(name).data().as_chunks().0;
     bytes
         .iter()
         .map(|&bytes| f32::from_le_bytes(bytes))
@@ -39,7 +34,7 @@ fn f32s(tensors: &SafeTensors<'_>, name: &str) -> Vec<f32> {
 }
 
 fn rows(tensors: &SafeTensors<'_>, name: &str) -> Vec<f64> {
-    let bytes = tensors.tensor(name).unwrap().data().as_chunks().0;
+    let bytes = tensors.tensor(name).expect(name).data().as_chunks().0;
     bytes
         .iter()
         .map(|&bytes| f64::from(i32::from_le_bytes(bytes)))
@@ -104,7 +99,7 @@ fn golden_minari_scores_are_reproduced() {
 fn compare(document: &Value, tensors: &SafeTensors<'_>, key: &str, steps: &str, at: &str) {
     let score = f64s(tensors, &format!("{key}.score"));
     let mean = score.iter().sum::<f64>() / score.len() as f64;
-    let k_sim = document["results"][0]["k_sim"].as_f64().unwrap();
+    let k_sim = document["results"][0]["k_sim"].as_f64().expect("a number");
     assert!((k_sim - mean).abs() < 1e-6, "{at}: {k_sim} for {mean}");
     for (column_name, expected) in [
         ("score", score),

@@ -12,26 +12,26 @@ use parquet::arrow::ArrowWriter;
 use serde_json::Value;
 
 /// What a run of `ksim` left behind.
-pub struct Run {
+pub(crate) struct Run {
     /// The exit code.
-    pub code: i32,
+    pub(crate) code: i32,
     /// All of stdout.
-    pub stdout: String,
+    pub(crate) stdout: String,
     /// All of stderr.
-    pub stderr: String,
+    pub(crate) stderr: String,
 }
 
 impl Run {
     /// The result as JSON, of a run that must have been fine.
     #[track_caller]
-    pub fn json(&self) -> Value {
+    pub(crate) fn json(&self) -> Value {
         assert_eq!(self.code, 0, "{}", self.stderr);
         serde_json::from_str(&self.stdout).expect("stdout is JSON and nothing else")
     }
 
     /// A failure: this exit code, nothing on stdout, one message that holds every part.
     #[track_caller]
-    pub fn failed(&self, code: i32, parts: &[&str]) {
+    pub(crate) fn failed(&self, code: i32, parts: &[&str]) {
         assert_eq!(
             self.code, code,
             "stdout: {}\nstderr: {}",
@@ -50,7 +50,7 @@ impl Run {
 }
 
 /// The command, in a world without datasets.
-pub fn command() -> Command {
+pub(crate) fn command() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ksim"));
     for variable in [
         "MINARI_DATASETS_PATH",
@@ -64,12 +64,12 @@ pub fn command() -> Command {
 }
 
 /// Runs it to the end.
-pub fn ksim<A: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = A>) -> Run {
+pub(crate) fn ksim<A: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = A>) -> Run {
     finished(&command().args(arguments).output().expect("the binary runs"))
 }
 
 /// What an ended process left.
-pub fn finished(output: &Output) -> Run {
+pub(crate) fn finished(output: &Output) -> Run {
     Run {
         code: output.status.code().unwrap_or(-1),
         stdout: String::from_utf8(output.stdout.clone()).expect("stdout is text"),
@@ -78,13 +78,13 @@ pub fn finished(output: &Output) -> Run {
 }
 
 /// A folder with the files of `ksim demo --export`.
-pub struct Demo {
+pub(crate) struct Demo {
     folder: tempfile::TempDir,
 }
 
 impl Demo {
     /// Exports them.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let run = ksim(["demo", "--export", path(folder.path())]);
         assert_eq!(run.code, 0, "{}", run.stderr);
@@ -92,12 +92,12 @@ impl Demo {
     }
 
     /// Path of a file in the folder.
-    pub fn at(&self, name: &str) -> String {
+    pub(crate) fn at(&self, name: &str) -> String {
         path(&self.folder.path().join(name)).to_owned()
     }
 
     /// `ksim score` of some of the files against the demo's dataset.
-    pub fn score(&self, rollouts: &[&str], flags: &[&str]) -> Run {
+    pub(crate) fn score(&self, rollouts: &[&str], flags: &[&str]) -> Run {
         let dataset = self.at("dataset.parquet");
         let rollouts: Vec<String> = rollouts.iter().map(|name| self.at(name)).collect();
         let mut arguments = vec!["score", "--dataset", &dataset];
@@ -107,7 +107,7 @@ impl Demo {
     }
 
     /// The files in the folder that the demo did not bring.
-    pub fn others(&self) -> Vec<PathBuf> {
+    pub(crate) fn others(&self) -> Vec<PathBuf> {
         let known = [
             "dataset.parquet",
             "good.parquet",
@@ -127,24 +127,24 @@ fn path(path: &Path) -> &str {
 }
 
 /// Rollouts to be written.
-pub struct Rollouts {
+pub(crate) struct Rollouts {
     /// Number of each row's episode.
-    pub episodes: Vec<i64>,
+    pub(crate) episodes: Vec<i64>,
     /// Observation columns and action columns.
-    pub widths: [usize; 2],
+    pub(crate) widths: [usize; 2],
     /// Row-major.
-    pub observations: Vec<f32>,
+    pub(crate) observations: Vec<f32>,
     /// Row-major.
-    pub actions: Vec<f32>,
+    pub(crate) actions: Vec<f32>,
     /// Planner of each row.
-    pub planners: Option<Vec<&'static str>>,
+    pub(crate) planners: Option<Vec<&'static str>>,
     /// Names of the three columns.
-    pub names: [&'static str; 3],
+    pub(crate) names: [&'static str; 3],
 }
 
 impl Rollouts {
     /// Rows that differ from each other, one episode for each number.
-    pub fn new(episodes: &[i64], widths: [usize; 2]) -> Self {
+    pub(crate) fn new(episodes: &[i64], widths: [usize; 2]) -> Self {
         let values = |n: usize| (0..n).map(|i| (i as f32 * 0.7).sin()).collect::<Vec<_>>();
         Self {
             episodes: episodes.to_vec(),
@@ -157,7 +157,7 @@ impl Rollouts {
     }
 
     /// Writes them as Parquet.
-    pub fn write(&self, path: impl AsRef<Path>) {
+    pub(crate) fn write(&self, path: impl AsRef<Path>) {
         let list = |width: usize, values: &[f32]| -> ArrayRef {
             let item = Arc::new(Field::new("item", DataType::Float32, false));
             let values = Arc::new(Float32Array::from(values.to_vec()));
@@ -190,8 +190,8 @@ impl Rollouts {
 }
 
 /// One column of a `--per-step` file, as numbers; nulls are NaN.
-pub fn column(path: &str, name: &str) -> Vec<f64> {
-    use arrow::array::{Array, AsArray};
+pub(crate) fn column(path: &str, name: &str) -> Vec<f64> {
+    use arrow::array::AsArray;
     use arrow::datatypes::Float64Type;
     let batches = batches(path);
     let mut values = Vec::new();
@@ -205,7 +205,7 @@ pub fn column(path: &str, name: &str) -> Vec<f64> {
 }
 
 /// Everything in a Parquet file.
-pub fn batches(path: &str) -> Vec<RecordBatch> {
+pub(crate) fn batches(path: &str) -> Vec<RecordBatch> {
     use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
     let file = std::fs::File::open(path).expect("the file is there");
     let reader = ParquetRecordBatchReaderBuilder::try_new(file).expect("it is Parquet");

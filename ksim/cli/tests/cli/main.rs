@@ -1,0 +1,8 @@
+//! The command at its border: exit codes, stdout and stderr, files.
+
+mod faults;
+#[cfg(feature = "hdf5")]
+mod golden;
+mod process;
+mod score;
+mod usage;
