@@ -2,6 +2,8 @@
 //! reference's cluster centers where it clusters. Runs over every recording it finds under
 //! `$KSIM_GOLDEN`, or the copies in `tests/fixtures/golden`.
 
+#![expect(clippy::unwrap_used, reason = "a test stops where a step fails")]
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 

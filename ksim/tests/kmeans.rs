@@ -1,5 +1,7 @@
 //! k-means: exact labels, a true optimum of Lloyd's iteration, and the odd cases.
 
+#![expect(clippy::unwrap_used, reason = "a test stops where a step fails")]
+
 use ksim::{KMeans, KMeansError, Matrix};
 use proptest::prelude::*;
 

@@ -1,6 +1,8 @@
 //! One suite for every search engine: `linear` is the oracle, the others must give its neighbors
 //! in its order, ties included.
 
+#![expect(clippy::unwrap_used, reason = "a test stops where a step fails")]
+
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -230,10 +232,11 @@ fn wrong_requests_are_typed_errors() {
             index.search(&SearchRequest::new(fitting, 0)),
             Err(SearchError::NoNeighbors)
         );
+        let one = std::array::from_fn::<_, 1, _>(|_| 0..1);
         let request = SearchRequest {
             queries: fitting,
             n_neighbors: 1,
-            excluded: Some(&[0..1]),
+            excluded: Some(&one),
         };
         let count = SearchError::ExclusionCount {
             expected: 2,
