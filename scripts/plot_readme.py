@@ -5,8 +5,8 @@
   ksim demo --format json    | python3 scripts/plot_readme.py docs/demo.svg
 
 Left: every episode's mean score, the mean of these means and its 95 % interval. Right: how far the
-steps lie from the data, as the quantiles 5, 25, 50, 75 and 95 %; dim is the width of state and action together, and a step left of γ
-scores 1.
+steps lie from the data, as the quantiles 5, 25, 50, 75 and 95 % of distance / √dim, where dim is
+the width of state and action together; a step left of γ scores 1.
 """
 import json
 import math
