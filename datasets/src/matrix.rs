@@ -345,7 +345,7 @@ fn is_text(data_type: &DataType) -> bool {
 fn complete_rows(action: &ArrayRef) -> Vec<Range<usize>> {
     match action.nulls().filter(|nulls| nulls.null_count() > 0) {
         None if action.is_empty() => Vec::new(),
-        None => vec![0..action.len()],
+        None => std::iter::once(0..action.len()).collect(),
         Some(nulls) => nulls
             .valid_slices()
             .map(|(start, end)| start..end)

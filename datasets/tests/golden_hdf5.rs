@@ -132,12 +132,8 @@ fn golden_d4rl_arrays_are_bit_equal() {
 }
 
 fn check_metadata(source: &dyn DatasetSource, inner: &str, array: &Value, place: &str) {
-    let found = inner
-        .split('/')
-        .fold(Some(&Value::Null), |value, part| match value {
-            Some(Value::Null) => source.info().metadata.get(part),
-            other => other.and_then(|value| value.get(part)),
-        });
+    let metadata = Value::Object(source.info().metadata.clone());
+    let found = metadata.pointer(&format!("/{inner}"));
     let found = found.unwrap_or_else(|| panic!("{place} is lost"));
     if let (Some(list), Some(last)) = (found.as_array(), array["last"].as_f64()) {
         assert_eq!(list.last().and_then(Value::as_f64), Some(last), "{place}");

@@ -216,7 +216,7 @@ impl Array {
                 .map_err(read)?;
             return Ok(());
         }
-        values.extend(self.read_slice::<T>(start, n)?);
+        values.extend_from_slice(&self.read_slice::<T>(start, n)?);
         Ok(())
     }
 
@@ -247,10 +247,11 @@ impl Array {
         let slice = self
             .dataset
             .read_slice::<T, _, ndarray::IxDyn>(hdf5::Hyperslab::from(axes));
-        Ok(slice
+        // The library fills a fresh array in row-major order: its vector is the rows, from the start.
+        let (values, _) = slice
             .map_err(failed("read", &self.key))?
-            .into_iter()
-            .collect())
+            .into_raw_vec_and_offset();
+        Ok(values)
     }
 }
 

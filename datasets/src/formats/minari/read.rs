@@ -55,8 +55,7 @@ impl MinariSource {
         }
         let mut inside = || -> Result<(H5File, Vec<Episode>, Structure)> {
             let file = H5File::open(&data)?;
-            let (names, mut left_out) = episode_names(&file)?;
-            warnings.append(&mut left_out);
+            let names = episode_names(&file, &mut warnings)?;
             let structure = first_structure(&file, &names, &metadata, &mut warnings)?;
             let episodes = episodes(&file, names, &structure, &mut warnings)?;
             Ok((file, episodes, structure))
@@ -139,9 +138,8 @@ fn id(metadata: &Metadata, path: &Path) -> String {
 }
 
 /// Names of the episode groups by number: the library's order has `episode_10` before `episode_2`.
-fn episode_names(file: &H5File) -> Result<(Vec<(u64, String)>, Vec<Warning>)> {
+fn episode_names(file: &H5File, warnings: &mut Vec<Warning>) -> Result<Vec<(u64, String)>> {
     let mut names = Vec::new();
-    let mut warnings = Vec::new();
     for member in members(file.root(), "")? {
         let number = member
             .name
@@ -158,7 +156,7 @@ fn episode_names(file: &H5File) -> Result<(Vec<(u64, String)>, Vec<Warning>)> {
         }
     }
     names.sort_unstable();
-    Ok((names, warnings))
+    Ok(names)
 }
 
 fn first_structure(

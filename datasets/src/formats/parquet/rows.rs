@@ -284,7 +284,7 @@ pub(crate) fn check_action(
         })
     };
     if let Some((episode, row)) = pending.take()
-        && episodes.len() > 0
+        && !episodes.is_empty()
         && episodes.value(0) == episode
     {
         return null(row);
