@@ -53,7 +53,8 @@ pub(crate) fn pack(data: &Matrix, rows: RowSet<'_>, start: usize, count: usize, 
     }
 }
 
-/// Squared distances of `point` to the tile's rows; false if none is within `threshold`.
+/// Squared distances of `point` to the tile's rows. Returns one bit for every run of four rows in
+/// which one may lie within `threshold`; the runs without a bit have none.
 ///
 /// Fused multiply-add in column order for every row, whatever the vector width: the same bits on
 /// every machine.
@@ -64,12 +65,13 @@ pub(crate) fn squared_distances<S: Simd>(
     point: &[f32],
     threshold: f32,
     squared: &mut [f32; TILE_ROWS],
-) -> bool {
+) -> u16 {
     // Four vectors at a time hide the latency of the multiply-add; no vector is wider than 16.
     const VECTORS: usize = 4;
     let step = VECTORS * S::F32_LANES;
     let threshold = simd.splat_f32s(threshold);
-    let mut any = false;
+    let runs_of_vector = (1u32 << S::F32_LANES.div_ceil(RUN_ROWS)) - 1;
+    let mut runs = 0u32;
     for from in (0..TILE_ROWS).step_by(step) {
         let mut sums = [simd.splat_f32s(0.0); VECTORS];
         for (column, &value) in tile.chunks_exact(TILE_ROWS).zip(point) {
@@ -81,11 +83,16 @@ pub(crate) fn squared_distances<S: Simd>(
             }
         }
         let (out, _) = S::as_mut_simd_f32s(&mut squared[from..from + step]);
-        for (out, &sum) in out.iter_mut().zip(&sums) {
+        for (vector, (out, &sum)) in out.iter_mut().zip(&sums).enumerate() {
             *out = sum;
             let within = simd.less_than_or_equal_f32s(sum, threshold);
-            any |= simd.first_true_m32s(within) < S::F32_LANES;
+            if simd.first_true_m32s(within) < S::F32_LANES {
+                runs |= runs_of_vector << ((from + vector * S::F32_LANES) / RUN_ROWS);
+            }
         }
     }
-    any
+    runs as u16
 }
+
+/// Rows behind one bit of [`squared_distances`].
+pub(crate) const RUN_ROWS: usize = 4;

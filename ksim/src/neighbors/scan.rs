@@ -14,7 +14,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{Neighbor, rank};
 use crate::matrix::Matrix;
-use crate::tiles::{RowSet, TILE_ROWS, new_tile, pack, squared_distances};
+use crate::tiles::{RUN_ROWS, RowSet, TILE_ROWS, new_tile, pack, squared_distances};
 
 /// Queries that one task carries over the rows.
 pub(super) const BATCH_QUERIES: usize = 256;
@@ -154,12 +154,15 @@ impl WithSimd for Scan<'_> {
             pack(self.data, self.rows, start, count, &mut tile);
             for query in self.queries.iter_mut() {
                 let threshold = query.threshold;
-                if !squared_distances(simd, &tile, &query.values, threshold, &mut squared) {
-                    continue;
-                }
-                for (at, &value) in squared[..count].iter().enumerate() {
-                    if value <= query.threshold {
-                        query.push(value, self.rows.row(start + at));
+                let mut runs =
+                    squared_distances(simd, &tile, &query.values, threshold, &mut squared);
+                while runs != 0 {
+                    let from = runs.trailing_zeros() as usize * RUN_ROWS;
+                    runs &= runs - 1;
+                    for at in from..(from + RUN_ROWS).min(count) {
+                        if squared[at] <= query.threshold {
+                            query.push(squared[at], self.rows.row(start + at));
+                        }
                     }
                 }
             }
