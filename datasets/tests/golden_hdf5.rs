@@ -574,3 +574,28 @@ fn golden_minari_fixtures_open() {
     }
     assert!(n_datasets >= 1, "no datasets found");
 }
+
+/// Every sample that opens keeps the trait's contract and survives a trip through Parquet.
+#[test]
+fn golden_sources_conform() {
+    let mut paths = files(&golden("formats/hdf5/d4rl"), ".hdf5");
+    for data in files(&golden("formats/minari"), "main_data.hdf5") {
+        paths.push(data.parent().and_then(Path::parent).unwrap().to_owned());
+    }
+    let mut n_checked = 0;
+    for path in paths {
+        let Ok(source) = open(&path, &OpenOptions::default()) else {
+            continue;
+        };
+        // NaN is not equal to itself; these are compared by hash above.
+        let summary = summarize(source.as_ref()).unwrap();
+        if summary.n_rows == 0 || summary.columns.iter().any(|column| column.n_nan > 0) {
+            continue;
+        }
+        let dir = tempfile::tempdir().unwrap();
+        ksim_datasets::conformance::check_source(source.as_ref()).unwrap();
+        ksim_datasets::conformance::check_parquet_round_trip(source.as_ref(), dir.path()).unwrap();
+        n_checked += 1;
+    }
+    assert!(n_checked >= 10, "only {n_checked} sources");
+}

@@ -201,7 +201,7 @@ impl Planner<'_> {
         };
         self.columns.push(ColumnPlan {
             source,
-            field: Arc::new(target),
+            field: Arc::new(with_metadata_of(field, target)),
             conversion,
             role,
         });
@@ -342,6 +342,14 @@ impl ColumnPlan {
     }
 }
 
+/// Keeps what a column says about itself, but for the numbers Parquet gives its fields.
+fn with_metadata_of(field: &Field, target: Field) -> Field {
+    let mut metadata = field.metadata().clone();
+    metadata.retain(|key, _| !key.starts_with("PARQUET:"));
+    metadata.extend(target.metadata().clone());
+    target.with_metadata(metadata)
+}
+
 /// How a leaf column is read, or `None` if its type cannot be one.
 fn leaf_plan(field: &Field, target: &str, source: usize, role: Role) -> Option<ColumnPlan> {
     let nullable = role != Role::Observation;
@@ -358,7 +366,10 @@ fn leaf_plan(field: &Field, target: &str, source: usize, role: Role) -> Option<C
             let (data_type, shape) = schema::row_shape(field)?;
             let canonical = match data_type {
                 DataType::Binary => field.clone().with_name(target).with_nullable(true),
-                _ => schema::leaf_field(target, data_type, &shape, nullable),
+                _ => with_metadata_of(
+                    field,
+                    schema::leaf_field(target, data_type, &shape, nullable),
+                ),
             };
             (canonical, Conversion::None)
         }

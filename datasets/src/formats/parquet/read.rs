@@ -50,7 +50,7 @@ pub(crate) fn open(path: &Path, names: &ColumnNames) -> Result<Box<dyn DatasetSo
             }
         }
     }
-    let schema = canonical_schema(&plan.columns, metadata.schema());
+    let schema = canonical_schema(&plan.columns, metadata.schema(), path);
     let info = describe(path, &metadata, &schema, plan);
     Ok(Box::new(ParquetSource {
         path: path.to_owned(),
@@ -89,7 +89,7 @@ fn first_widths(
 }
 
 /// Index columns first, made up where the file has none.
-fn canonical_schema(columns: &[ColumnPlan], file: &Schema) -> SchemaRef {
+fn canonical_schema(columns: &[ColumnPlan], file: &Schema, path: &Path) -> SchemaRef {
     let mut fields: Vec<FieldRef> = vec![
         Arc::new(Field::new(schema::EPISODE_INDEX, DataType::Int64, false)),
         Arc::new(Field::new(schema::STEP_INDEX, DataType::Int64, false)),
@@ -99,6 +99,14 @@ fn canonical_schema(columns: &[ColumnPlan], file: &Schema) -> SchemaRef {
         .filter(|column| !matches!(column.role, Role::Episode | Role::Step));
     fields.extend(rest.map(|column| Arc::clone(&column.field)));
     let mut metadata = file.metadata().clone();
+    // A copy of the file then still says what it was made from.
+    metadata
+        .entry(schema::SOURCE_ID.to_owned())
+        .or_insert_with(|| {
+            path.file_stem()
+                .map(|stem| stem.to_string_lossy().into_owned())
+                .unwrap_or_default()
+        });
     metadata
         .entry(schema::VERSION_KEY.to_owned())
         .or_insert_with(|| schema::VERSION.to_owned());
@@ -116,11 +124,11 @@ fn describe(
 ) -> (DatasetInfo, Vec<ColumnPlan>) {
     let text = |key: &str| metadata.schema().metadata().get(key);
     let json = |key: &str| text(key).and_then(|text| serde_json::from_str::<Value>(text).ok());
-    let stem = path
-        .file_stem()
-        .map(|stem| stem.to_string_lossy().into_owned())
+    let id = schema
+        .metadata()
+        .get(schema::SOURCE_ID)
+        .cloned()
         .unwrap_or_default();
-    let id = text(schema::SOURCE_ID).cloned().unwrap_or(stem);
     let mut info = DatasetInfo::new(id, Format::Parquet, path.to_owned());
     info.n_steps = steps_without_final_rows(metadata, &plan.columns);
     let leaves = |role: Role| -> Vec<LeafSpec> {
@@ -152,10 +160,6 @@ fn describe(
     info.ref_min_score = info.metadata.get("ref_min_score").and_then(Value::as_f64);
     info.ref_max_score = info.metadata.get("ref_max_score").and_then(Value::as_f64);
     info.warnings = plan.warnings;
-    debug_assert!(
-        schema.index_of(schema::EPISODE_INDEX).is_ok(),
-        "the index columns come first"
-    );
     (info, plan.columns)
 }
 
