@@ -18,7 +18,7 @@ pub struct TransitionOptions {
     pub batch_rows: usize,
     /// Episodes to read; `None` reads all.
     pub episodes: Option<Vec<i64>>,
-    /// Columns of the state vector, from [`ObservationLayout::select`], in the order wanted; `None` takes
+    /// Columns of the state vector, from [`crate::ObservationLayout::select`], in the order wanted; `None` takes
     /// all. Leaves without a chosen column are not read.
     pub state_columns: Option<Vec<usize>>,
     /// Read the rewards.
