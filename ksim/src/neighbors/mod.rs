@@ -170,9 +170,10 @@ fn rank(
         ranked.sort_unstable_by(by_distance);
     }
     ranked.truncate(n);
+    // From a borrow: collecting the vector itself would keep the room of all candidates.
     ranked
-        .into_iter()
-        .map(|(squared, row)| Neighbor {
+        .iter()
+        .map(|&(squared, row)| Neighbor {
             row,
             distance: squared.sqrt(),
         })
