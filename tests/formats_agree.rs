@@ -1,6 +1,8 @@
 //! The same transitions give the same score, to the last bit, whatever file they come from and
 //! however many threads compute it.
 
+#![expect(clippy::unwrap_used, reason = "a test stops where a step fails")]
+
 use std::path::{Path, PathBuf};
 
 use hdf5_metno::{File, Group, H5Type};
