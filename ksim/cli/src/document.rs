@@ -175,9 +175,14 @@ impl RolloutResult {
 
     /// Name of its row: the file, and the planner where the file names planners.
     pub(crate) fn label(&self) -> String {
-        match &self.planner {
-            Some(planner) => format!("{} · {planner}", self.file),
-            None => self.file.clone(),
+        Self::label_of(&self.file, self.planner.as_deref())
+    }
+
+    /// The same for a file named in another way.
+    pub(crate) fn label_of(file: &str, planner: Option<&str>) -> String {
+        match planner {
+            Some(planner) => format!("{file} · {planner}"),
+            None => file.to_owned(),
         }
     }
 }

@@ -22,6 +22,9 @@ use crate::settings::Settings;
 /// Share of saturated steps above which a score says little.
 const MUCH_SATURATION: f64 = 0.9;
 
+/// Steps closer than this, in standard deviations, are the same but for the rounding of storage as f32.
+const SAME_STEP: f64 = 1e-5;
+
 /// Everything a run of `ksim score` needs to know.
 #[derive(Debug, Clone)]
 pub(crate) struct Job {
@@ -248,7 +251,7 @@ fn score_one(
 /// What a reader of the number should know.
 fn warnings(report: &Report, settings: &Settings) -> Vec<String> {
     let mut warnings = Vec::new();
-    let on_the_data = report.steps.iter().all(|step| step.distance == 0.0);
+    let on_the_data = report.steps.iter().all(|step| step.distance < SAME_STEP);
     if on_the_data && !settings.exclude_same_episode {
         warnings.push(
             "every step is itself a step of the dataset, so every score is 1; to score a dataset \

@@ -4,31 +4,40 @@ use std::fmt::Write as _;
 
 use crate::document::{Document, RolloutResult, SearchPart};
 
-/// Lines up cells: the first column to the left, the others to the right.
+/// Lines up cells below a header; columns of numbers and of nothing go to the right.
 pub(crate) fn align(rows: &[Vec<String>]) -> String {
     let n_columns = rows.iter().map(Vec::len).max().unwrap_or(0);
-    let width = |column: usize| {
-        rows.iter()
-            .filter_map(|row| row.get(column))
-            .map(|cell| cell.chars().count())
-            .max()
-            .unwrap_or(0)
-    };
-    let widths: Vec<usize> = (0..n_columns).map(width).collect();
+    let cells = |column: usize| rows.iter().filter_map(move |row| row.get(column));
+    let is_text = |cell: &String| cell.starts_with(char::is_alphabetic) && cell != "none";
+    let layout: Vec<(usize, bool)> = (0..n_columns)
+        .map(|column| {
+            let width = cells(column)
+                .map(|cell| cell.chars().count())
+                .max()
+                .unwrap_or(0);
+            (width, column == 0 || cells(column).skip(1).any(is_text))
+        })
+        .collect();
     let mut text = String::new();
     for row in rows {
         let mut line = String::new();
-        for (column, (cell, &width)) in row.iter().zip(&widths).enumerate() {
+        for (cell, &(width, to_the_left)) in row.iter().zip(&layout) {
             let padding = " ".repeat(width - cell.chars().count());
-            match column {
-                0 => line.extend([cell.as_str(), &padding]),
-                _ => line.extend(["  ", &padding, cell.as_str()]),
+            match to_the_left {
+                true => line.extend([cell.as_str(), &padding, "  "]),
+                false => line.extend([padding.as_str(), cell, "  "]),
             }
         }
         text.push_str(line.trim_end());
         text.push('\n');
     }
     text
+}
+
+/// A number to four decimals, without those that say nothing.
+pub(crate) fn number(value: f64) -> String {
+    let text = format!("{value:.4}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 /// Lines up names and what is said of them.
@@ -79,7 +88,14 @@ pub(crate) fn results(document: &Document) -> String {
         "mean d/√d".to_owned(),
         "time".to_owned(),
     ]];
-    rows.extend(document.results.iter().map(result_row));
+    let labels = labels(&document.results);
+    rows.extend(
+        document
+            .results
+            .iter()
+            .zip(labels)
+            .map(|(result, label)| result_row(result, label)),
+    );
     let mut text = align(&rows);
     let headline = if by_episode {
         "mean of the episodes' own means"
@@ -94,13 +110,34 @@ pub(crate) fn results(document: &Document) -> String {
     text
 }
 
-fn result_row(result: &RolloutResult) -> Vec<String> {
+/// Names of the rows: the file's name alone where no other file has the same.
+fn labels(results: &[RolloutResult]) -> Vec<String> {
+    let name = |file: &str| file.rsplit('/').next().unwrap_or(file).to_owned();
+    let is_unique = |file: &str| {
+        results
+            .iter()
+            .all(|other| other.file == file || name(&other.file) != name(file))
+    };
+    results
+        .iter()
+        .map(|result| {
+            let file = if is_unique(&result.file) {
+                name(&result.file)
+            } else {
+                result.file.clone()
+            };
+            RolloutResult::label_of(&file, result.planner.as_deref())
+        })
+        .collect()
+}
+
+fn result_row(result: &RolloutResult, label: String) -> Vec<String> {
     let interval = match result.interval_95 {
         Some([low, high]) => format!("[{low:.4}, {high:.4}]"),
         None => "none".to_owned(),
     };
     vec![
-        result.label(),
+        label,
         result.n_episodes.to_string(),
         result.n_steps.to_string(),
         format!("{:.4}", result.k_sim),
@@ -232,6 +269,13 @@ mod tests {
             vec!["bcd".into(), "1.25".into()],
         ];
         assert_eq!(align(&rows), "a      √d\nbcd  1.25\n");
+        let rows =
+            [["a", "note"], ["b", ""], ["c", "text"]].map(|row| row.map(str::to_owned).to_vec());
+        assert_eq!(align(&rows), "a  note\nb\nc  text\n");
+        assert_eq!(
+            (number(1000.0), number(0.12344)),
+            ("1000".to_owned(), "0.1234".to_owned())
+        );
     }
 
     #[test]

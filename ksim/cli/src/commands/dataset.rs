@@ -259,7 +259,8 @@ fn info_text(info: &DatasetInfo, summary: &Summary) -> String {
             min,
             max,
         }) => {
-            format!("mean {mean:.4}, std {std:.4}, from {min:.4} to {max:.4}")
+            let [mean, std, min, max] = [mean, std, min, max].map(table::number);
+            format!("mean {mean}, std {std}, from {min} to {max}")
         }
         None => "not recorded".to_owned(),
     };
@@ -284,18 +285,19 @@ fn info_text(info: &DatasetInfo, summary: &Summary) -> String {
         ""
     };
     let finals = summary.n_rows.saturating_sub(summary.n_steps);
+    let steps = match finals {
+        0 => summary.n_steps.to_string(),
+        _ => format!(
+            "{} (and {finals} rows with only a final observation)",
+            summary.n_steps
+        ),
+    };
     let rows = [
         ("dataset", info.id.clone()),
         ("format", info.format.name().to_owned()),
         ("path", info.path.display().to_string()),
         ("episodes", summary.n_episodes.to_string()),
-        (
-            "steps",
-            format!(
-                "{} (and {finals} rows with only a final observation)",
-                summary.n_steps
-            ),
-        ),
+        ("steps", steps),
         ("lengths", spread(summary.lengths)),
         ("ends", ends.join(", ")),
         ("episode rule", format!("{}{inferred}", info.episode_rule)),

@@ -125,7 +125,7 @@ fn compare(document: &Value, tensors: &SafeTensors<'_>, key: &str, steps: &str, 
 
 #[test]
 fn golden_data_without_recorded_ends_is_done_with_warnings() {
-    let file = golden().join("data_fixtures/d4rl/hopper_medium-v0_layout.hdf5");
+    let file = golden().join("formats/hdf5/d4rl/kitchen_like.hdf5");
     let run = command()
         .args(["dataset", "info", "--format", "json"])
         .arg(file)
