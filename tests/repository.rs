@@ -40,8 +40,10 @@ fn no_file_names_a_place_on_someones_machine() {
     assert!(found.is_empty(), "{}", found.join("\n"));
 }
 
-/// Whether an absolute path in `line` begins with `place`.
+/// Whether an absolute path in `line` begins with `place`. `/home/x` is no one's home: tests of paths
+/// may use it.
 fn names(line: &str, place: &str) -> bool {
+    let line = line.replace("/home/x/", "").replace("/home/x\"", "");
     line.match_indices(place).any(|(at, _)| {
         let before = line[..at].chars().next_back();
         // `a/tmp/b` is relative, `~/tmp` and `$X/tmp` are no one's in particular.
