@@ -159,9 +159,10 @@ impl WithSimd for Scan<'_> {
                 while runs != 0 {
                     let from = runs.trailing_zeros() as usize * RUN_ROWS;
                     runs &= runs - 1;
-                    for at in from..(from + RUN_ROWS).min(count) {
-                        if squared[at] <= query.threshold {
-                            query.push(squared[at], self.rows.row(start + at));
+                    let end = (from + RUN_ROWS).min(count);
+                    for (at, &value) in squared.iter().enumerate().take(end).skip(from) {
+                        if value <= query.threshold {
+                            query.push(value, self.rows.row(start + at));
                         }
                     }
                 }
