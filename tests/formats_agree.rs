@@ -47,7 +47,7 @@ impl Episode {
     }
 }
 
-/// More reference rows than one chunk of the engine's parallel sums (8192).
+/// More reference rows than one chunk of the engine's parallel sums (2048).
 fn reference() -> Vec<Episode> {
     (0..12).map(|seed| Episode::new(seed, 700 + seed)).collect()
 }
