@@ -5,19 +5,18 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::matrix::{CHUNK_ROWS, Matrix};
-use crate::rng::{Purpose, Rng};
+use crate::rng::Rng;
 use crate::tiles::{RowSet, TILE_ROWS, new_tile, pack, squared_distances};
 
 /// Start centers, row-major, shape `(n_clusters, n_features)`; needs `n_clusters` rows at least.
-pub(super) fn plus_plus(data: &Matrix, n_clusters: usize, seed: u64) -> Vec<f64> {
-    let mut rng = Rng::new(seed, Purpose::KMeansInit);
+pub(super) fn plus_plus(data: &Matrix, n_clusters: usize, rng: &mut Rng) -> Vec<f64> {
     let n_trials = 2 + (n_clusters as f64).ln() as usize;
     let mut closest = vec![f32::INFINITY; data.n_rows()];
     let mut chosen = vec![rng.below(data.n_rows()) as u32];
     let mut sums = keep_closest(data, chosen[0], &mut closest);
     while chosen.len() < n_clusters {
         let trials: Vec<u32> = (0..n_trials)
-            .map(|_| draw(&closest, &sums, &mut rng, &chosen))
+            .map(|_| draw(&closest, &sums, rng, &chosen))
             .collect();
         let potentials = potentials(data, &trials, &closest);
         let best = (0..trials.len())

@@ -3,6 +3,7 @@
 use super::{KMeans, init, yinyang};
 use crate::error::KMeansError;
 use crate::matrix::Matrix;
+use crate::rng::{Purpose, Rng};
 
 /// Which code fits the centers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -15,26 +16,23 @@ pub enum KMeansBackend {
     Linfa,
 }
 
-/// Rows per cluster that a sample must have at the least.
-const SAMPLE_ROWS_PER_CLUSTER: usize = 1000;
-
-/// Every how many rows a sample for the start is taken; `None` where the data are too few to gain
-/// by it. A fit of an eighth of the rows costs an eighth, and leaves the full fit the last steps.
-fn sample_step(n_rows: usize, n_clusters: usize) -> Option<usize> {
-    const STEP: usize = 8;
-    (n_rows / STEP >= n_clusters * SAMPLE_ROWS_PER_CLUSTER).then_some(STEP)
-}
+/// A start is fitted to every eighth row first, as long as that leaves this many a cluster: it
+/// costs an eighth, and leaves the full fit the last steps only.
+const SAMPLE_STEP: usize = 8;
+const SAMPLE_ROWS_PER_CLUSTER: usize = 128;
 
 /// How to fit: setters only store, [`fit`](Self::fit) checks.
 ///
-/// The defaults are the paper's and scikit-learn's: one k-means++ start, at most 300 iterations,
-/// tolerance 1e-4, seed 0. Where there are enough rows the start is a fit of every eighth.
+/// The defaults are the paper's and scikit-learn's: a k-means++ start, at most 300 iterations,
+/// tolerance 1e-4, seed 0; but the start is the best of four by inertia, fitted to a sample where
+/// there are rows enough, so that one unlucky draw does not decide.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KMeansParams {
     pub(super) n_clusters: usize,
     pub(super) seed: u64,
     pub(super) max_iterations: usize,
     pub(super) tolerance: f64,
+    n_starts: usize,
     backend: KMeansBackend,
 }
 
@@ -45,6 +43,7 @@ impl KMeansParams {
             seed: 0,
             max_iterations: 300,
             tolerance: 1e-4,
+            n_starts: 4,
             backend: KMeansBackend::default(),
         }
     }
@@ -65,6 +64,12 @@ impl KMeansParams {
     /// mean variance of the columns.
     pub fn tolerance(mut self, tolerance: f64) -> Self {
         self.tolerance = tolerance;
+        self
+    }
+
+    /// k-means++ starts to choose from, at least 1.
+    pub fn n_starts(mut self, n_starts: usize) -> Self {
+        self.n_starts = n_starts.max(1);
         self
     }
 
@@ -104,19 +109,27 @@ impl KMeansParams {
     pub fn fit(&self, data: &Matrix) -> Result<KMeans, KMeansError> {
         self.check(data.n_rows())?;
         match self.backend {
-            KMeansBackend::Ksim => {
-                let start = match sample_step(data.n_rows(), self.n_clusters) {
-                    Some(step) => {
-                        let sample = data.every(step);
-                        let start = init::plus_plus(&sample, self.n_clusters, self.seed);
-                        yinyang::fit(&sample, start, self).centers
-                    }
-                    None => init::plus_plus(data, self.n_clusters, self.seed),
-                };
-                Ok(yinyang::fit(data, start, self))
-            }
+            KMeansBackend::Ksim => Ok(self.fit_from_sample(data)),
             #[cfg(feature = "linfa")]
             KMeansBackend::Linfa => super::linfa_backend::fit(data, self),
         }
+    }
+
+    /// Fits from where a fit of every eighth row rests; the smallest sample from the best start.
+    fn fit_from_sample(&self, data: &Matrix) -> KMeans {
+        if data.n_rows() / SAMPLE_STEP >= self.n_clusters * SAMPLE_ROWS_PER_CLUSTER {
+            let start = self.fit_from_sample(&data.every(SAMPLE_STEP)).centers;
+            return yinyang::fit(data, start, self);
+        }
+        let mut rng = Rng::new(self.seed, Purpose::KMeansInit);
+        let mut fit = || yinyang::fit(data, init::plus_plus(data, self.n_clusters, &mut rng), self);
+        let mut best = fit();
+        for _ in 1..self.n_starts {
+            let next = fit();
+            if next.inertia < best.inertia {
+                best = next;
+            }
+        }
+        best
     }
 }
