@@ -80,7 +80,15 @@ pub fn resolve(name: &str, roots: &SearchRoots) -> Result<Resolved> {
         return path_on_disk(name);
     }
     let mut looked_at = Vec::new();
-    for candidate in candidates(name, roots)? {
+    let candidates = match candidates(name, roots) {
+        // What cannot be a name may still be a relative path; not by way of `..`, though, which
+        // belongs at the start of a path or nowhere.
+        Err(_) if !name.split('/').any(|part| part == "..") && Path::new(name).exists() => {
+            return path_on_disk(name);
+        }
+        candidates => candidates?,
+    };
+    for candidate in candidates {
         match candidate.find(roots, &mut looked_at)? {
             Some(found) => return Ok(found),
             None => continue,

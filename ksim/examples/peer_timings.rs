@@ -48,7 +48,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 fields.push(format!(
                     "\"kmeans_s\": {}, \"kmeans_iterations\": {}, \"inertia\": {}",
                     start.elapsed().as_secs_f64(),
-                    kmeans.n_iterations(),
+                    kmeans.n_iterations().unwrap_or(0),
                     kmeans.inertia()
                 ));
                 Box::new(Clusters::new(Arc::clone(&data), kmeans))

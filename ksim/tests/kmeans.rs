@@ -35,7 +35,7 @@ fn labels_are_the_nearest_centers_and_centers_the_means() {
         let values = clumps(n, width);
         let data = Matrix::from_f64(&values, width).unwrap();
         let fitted = KMeans::params(k).tolerance(0.0).fit(&data).unwrap();
-        assert!(fitted.converged(), "{n} {width} {k}");
+        assert!(fitted.converged() == Some(true), "{n} {width} {k}");
         for (point, &label) in values.chunks_exact(width).zip(fitted.labels()) {
             assert_eq!(label, nearest(fitted.centers(), point));
         }

@@ -264,8 +264,8 @@ impl SearchPart {
                 centers_tensor: centers.map(|centers| centers.tensor.clone()),
                 n_clusters: kmeans.n_clusters(),
                 inertia: kmeans.inertia(),
-                n_iterations: fitted.then(|| kmeans.n_iterations()),
-                converged: fitted.then(|| kmeans.converged()),
+                n_iterations: kmeans.n_iterations(),
+                converged: kmeans.converged(),
             }
         });
         Self {

@@ -250,7 +250,7 @@ fn search(search: &SearchPart) -> String {
                 clusters.backend.unwrap_or("?")
             )
         }
-        _ => "given centers".to_owned(),
+        _ => format!("k-means of {}", clusters.backend.unwrap_or("?")),
     };
     format!(
         "approximate: one of {} clusters ({centers}, inertia {:.6e}); exact is --search auto",

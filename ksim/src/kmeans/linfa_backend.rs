@@ -30,11 +30,5 @@ pub(super) fn fit(data: &Matrix, params: &KMeansParams) -> Result<KMeans, KMeans
         .map_err(|error| KMeansError::Linfa(Arc::new(error)))?;
     let centers: Vec<f64> = fitted.centroids().iter().copied().collect();
     let labels = scan::assign(data, &centers);
-    Ok(KMeans::assigned(
-        centers,
-        labels,
-        data,
-        params.max_iterations,
-        true,
-    ))
+    Ok(KMeans::assigned(centers, labels, data, None, None))
 }

@@ -33,8 +33,8 @@ pub struct KMeans {
     n_features: usize,
     labels: Vec<u32>,
     inertia: f64,
-    n_iterations: usize,
-    converged: bool,
+    n_iterations: Option<usize>,
+    converged: Option<bool>,
 }
 
 impl KMeans {
@@ -63,15 +63,15 @@ impl KMeans {
             });
         }
         let labels = scan::assign(data, centers);
-        Ok(Self::assigned(centers.to_vec(), labels, data, 0, true))
+        Ok(Self::assigned(centers.to_vec(), labels, data, None, None))
     }
 
     fn assigned(
         centers: Vec<f64>,
         labels: Vec<u32>,
         data: &Matrix,
-        n_iterations: usize,
-        converged: bool,
+        n_iterations: Option<usize>,
+        converged: Option<bool>,
     ) -> Self {
         let n_features = data.n_features();
         let inertia = inertia(data, &centers, &labels);
@@ -105,13 +105,14 @@ impl KMeans {
         self.inertia
     }
 
-    /// Lloyd iterations made; 0 for given centers.
-    pub fn n_iterations(&self) -> usize {
+    /// Iterations made on all rows; `None` for given centers, and from linfa, which does not say.
+    pub fn n_iterations(&self) -> Option<usize> {
         self.n_iterations
     }
 
-    /// Whether the centers came to rest (by the tolerance) before the limit of iterations.
-    pub fn converged(&self) -> bool {
+    /// Whether the centers came to rest (by the tolerance) before the limit of iterations; `None`
+    /// as for [`n_iterations`](Self::n_iterations).
+    pub fn converged(&self) -> Option<bool> {
         self.converged
     }
 
