@@ -278,9 +278,6 @@ pub enum DatasetError {
         /// All names.
         expected: String,
     },
-    /// A file that would be overwritten.
-    #[error("already exists")]
-    AlreadyExists,
     /// Arrow could not build or convert an array.
     #[error("cannot {operation}")]
     Arrow {

@@ -302,3 +302,46 @@ fn a_build_without_hdf5_says_so() {
         "{error:?}"
     );
 }
+
+#[test]
+fn episodes_named_by_text_are_numbered_as_they_appear() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("rollout.parquet");
+    let names = |names: [&str; 5]| Arc::new(StringArray::from(names.to_vec())) as ArrayRef;
+    let columns = |text| {
+        vec![
+            ("episode_id", names(text)),
+            ("obs", list(rows(5, 2))),
+            ("act", list(rows(5, 1))),
+        ]
+    };
+    write(&path, columns(["zeta", "zeta", "alpha", "alpha", "9"]));
+    let source = opened(&path);
+    conformance::check_source(source.as_ref()).unwrap();
+    let episodes = source.episodes().unwrap();
+    let numbered: Vec<(i64, u64)> = episodes
+        .iter()
+        .map(|episode| (episode.episode_index, episode.length))
+        .collect();
+    assert_eq!(numbered, [(0, 2), (1, 2), (2, 1)]);
+    let with_names = TransitionOptions {
+        text_column: Some("info.episode_id".to_owned()),
+        ..TransitionOptions::default()
+    };
+    let mut batches = TransitionReader::new(source.as_ref(), &with_names).unwrap();
+    let batch = batches.next().unwrap().unwrap();
+    let text: Vec<String> = batch.text.unwrap().into_iter().flatten().collect();
+    assert_eq!(text, ["zeta", "zeta", "alpha", "alpha", "9"]);
+    let back = failure(columns(["a", "b", "a", "a", "a"]));
+    assert!(
+        matches!(
+            back,
+            DatasetError::NonContiguousEpisode {
+                row: 2,
+                episode: 0,
+                ..
+            }
+        ),
+        "{back:?}"
+    );
+}

@@ -3,7 +3,9 @@
 use serde_json::{Map, Value, json};
 
 use crate::error::{DatasetError, Result};
-use crate::formats::hdf5::{Array, H5File, MemberKind, failed, join, json_value, members};
+use crate::formats::hdf5::{
+    Array, H5File, MemberKind, failed, join, json_value, members, open_contained,
+};
 use crate::source::Warning;
 
 pub(super) const OBSERVATIONS: &str = "observations";
@@ -222,7 +224,7 @@ fn describe(
         let value = match member.kind {
             MemberKind::Group => Value::Object(describe(&group, &member.name, &path, depth + 1)?),
             MemberKind::Array => {
-                let dataset = group.dataset(&member.name).map_err(failed("open", &path))?;
+                let (dataset, _) = open_contained(&group, &member.name, &path)?;
                 match json_value(&dataset) {
                     Some(value) => value,
                     None => {

@@ -1,7 +1,7 @@
 //! One HDF5 dataset, checked before it is read.
 
 use arrow::datatypes::DataType;
-use hdf5::plist::dataset_create::Layout;
+use hdf5::plist::dataset_create::{DatasetCreate, Layout};
 use hdf5::types::{FloatSize, IntSize, TypeDescriptor};
 use hdf5_metno as hdf5;
 
@@ -134,7 +134,7 @@ impl Array {
     /// # Errors
     /// What the checks find, each naming `key`.
     pub(crate) fn open(group: &hdf5::Group, name: &str, key: &str, file_size: u64) -> Result<Self> {
-        let dataset = group.dataset(name).map_err(failed("open", key))?;
+        let (dataset, storage) = open_contained(group, name, key)?;
         let shape = dataset
             .get_shape()
             .map_err(failed("read the shape of", key))?;
@@ -148,15 +148,10 @@ impl Array {
         let element = Element::of(&descriptor)
             .ok_or_else(|| wrong("numbers, flags, text or variable-length bytes"))?;
         let Some((&n_rows, row_shape)) = shape.split_first() else {
-            let (actual, expected) = (Vec::new(), "an array, not a scalar".to_owned());
-            return Err(DatasetError::ShapeMismatch {
-                key: key.to_owned(),
-                actual,
-                expected,
-            });
+            return Err(not_an_array(key));
         };
         check_size(key, &shape, element, file_size)?;
-        check_storage(&dataset, key, element, file_size)?;
+        check_chunks(&storage, key, element, file_size)?;
         Ok(Self {
             key: key.to_owned(),
             element,
@@ -164,6 +159,21 @@ impl Array {
             row_shape: row_shape.to_vec(),
             dataset,
         })
+    }
+
+    /// Length of the first axis, by the header alone.
+    ///
+    /// # Errors
+    /// The array is not there, lies outside the file, or is a scalar.
+    pub(crate) fn length(group: &hdf5::Group, key: &str) -> Result<u64> {
+        let (dataset, _) = open_contained(group, key, key)?;
+        let shape = dataset
+            .get_shape()
+            .map_err(failed("read the shape of", key))?;
+        shape
+            .first()
+            .map(|&n| n as u64)
+            .ok_or_else(|| not_an_array(key))
     }
 
     /// Path in the file.
@@ -255,6 +265,14 @@ impl Array {
     }
 }
 
+fn not_an_array(key: &str) -> DatasetError {
+    DatasetError::ShapeMismatch {
+        key: key.to_owned(),
+        actual: Vec::new(),
+        expected: "an array, not a scalar".to_owned(),
+    }
+}
+
 fn check_size(key: &str, shape: &[usize], element: Element, file_size: u64) -> Result<()> {
     let values = shape
         .iter()
@@ -277,59 +295,66 @@ fn check_size(key: &str, shape: &[usize], element: Element, file_size: u64) -> R
     Ok(())
 }
 
-/// Refuses data outside the file, unknown filters and giant chunks.
-fn check_storage(
-    dataset: &hdf5::Dataset,
+/// Opens an array whose data lie in the file itself.
+///
+/// Nothing but the header is looked at before that is known: to ask a virtual dataset for its shape already
+/// opens the files it is made of.
+///
+/// # Errors
+/// It is not there, or its data lie elsewhere.
+pub(crate) fn open_contained(
+    group: &hdf5::Group,
+    name: &str,
+    key: &str,
+) -> Result<(hdf5::Dataset, DatasetCreate)> {
+    let dataset = group.dataset(name).map_err(failed("open", key))?;
+    let read = failed("read the storage of", key);
+    let storage = dataset.create_plist().map_err(&read)?;
+    let what = match storage.get_layout().map_err(&read)? {
+        Layout::Virtual => "is a virtual dataset over other files",
+        Layout::Contiguous if !storage.get_external().map_err(&read)?.is_empty() => {
+            "is stored in another file"
+        }
+        _ => return Ok((dataset, storage)),
+    };
+    Err(DatasetError::Unsupported {
+        what: format!("\"{key}\" {what}"),
+    })
+}
+
+/// Refuses unknown filters and giant chunks.
+fn check_chunks(
+    storage: &DatasetCreate,
     key: &str,
     element: Element,
     file_size: u64,
 ) -> Result<()> {
-    let storage = dataset
-        .create_plist()
-        .map_err(failed("read the storage of", key))?;
     let layout = storage
         .get_layout()
         .map_err(failed("read the storage of", key))?;
-    match layout {
-        Layout::Compact => Ok(()),
-        Layout::Contiguous => {
-            let external = storage
-                .get_external()
-                .map_err(failed("read the storage of", key))?;
-            if external.is_empty() {
-                return Ok(());
-            }
-            Err(DatasetError::Unsupported {
-                what: format!("\"{key}\" is stored in another file"),
-            })
-        }
-        Layout::Chunked => {
-            let chunk = storage
-                .get_chunk()
-                .map_err(failed("read the chunks of", key))?
-                .unwrap_or_default();
-            let bytes = chunk
-                .iter()
-                .try_fold(element.size(), |n, &dim| n.checked_mul(dim as u128));
-            let declared = bytes.unwrap_or(u128::MAX);
-            if declared > MAX_CHUNK_BYTES {
-                let key = key.to_owned();
-                return Err(DatasetError::DeclaredSize {
-                    key,
-                    declared,
-                    file_size,
-                    max_ratio: MAX_RATIO,
-                });
-            }
-            check_filters(&storage, key)
-        }
-        Layout::Virtual => Err(DatasetError::Unsupported {
-            what: format!("\"{key}\" is a virtual dataset over other files"),
-        }),
+    if layout != Layout::Chunked {
+        return Ok(());
     }
+    let chunk = storage
+        .get_chunk()
+        .map_err(failed("read the chunks of", key))?
+        .unwrap_or_default();
+    let bytes = chunk
+        .iter()
+        .try_fold(element.size(), |n, &dim| n.checked_mul(dim as u128));
+    let declared = bytes.unwrap_or(u128::MAX);
+    if declared > MAX_CHUNK_BYTES {
+        return Err(DatasetError::DeclaredSize {
+            key: key.to_owned(),
+            declared,
+            file_size,
+            max_ratio: MAX_RATIO,
+        });
+    }
+    check_filters(storage, key)
 }
 
-fn check_filters(storage: &hdf5::plist::DatasetCreate, key: &str) -> Result<()> {
+fn check_filters(storage: &DatasetCreate, key: &str) -> Result<()> {
     for filter in storage
         .get_filters()
         .map_err(failed("read the filters of", key))?

@@ -11,7 +11,7 @@ mod file;
 mod pager;
 mod scan;
 
-pub(crate) use array::{Array, Element};
+pub(crate) use array::{Array, Element, open_contained};
 pub(crate) use attributes::{attributes, json_value};
 pub(crate) use builder::LeafBuilder;
 pub(crate) use file::{H5File, MemberKind, failed, join, members};

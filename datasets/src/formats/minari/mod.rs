@@ -4,6 +4,10 @@
 //! by name (bytewise), `desired_goal` last; tuple elements by number. So AntMaze gives `achieved_goal` (2),
 //! `observation` (27), `desired_goal` (2).
 
+#[cfg(feature = "hdf5")]
+mod describe;
+#[cfg(feature = "hdf5")]
+mod empty;
 pub(crate) mod json;
 pub(crate) mod metadata;
 mod space;
@@ -15,3 +19,6 @@ mod structure;
 
 #[cfg(feature = "hdf5")]
 pub(crate) use read::MinariSource;
+
+#[cfg(all(test, feature = "hdf5"))]
+mod tests;

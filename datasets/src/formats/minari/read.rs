@@ -1,16 +1,18 @@
 //! Delivering a Minari dataset with the HDF5 backend in batches.
 
-use std::collections::HashMap;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow::array::RecordBatchReader;
-use arrow::datatypes::{DataType, Field, FieldRef, Schema, SchemaRef};
+use arrow::datatypes::SchemaRef;
 use serde_json::{Map, Value};
 
+use super::describe::{count_warnings, dataset_info, table_schema};
+use super::empty::SpaceLeaves;
 use super::metadata::{Metadata, Storage};
 use super::space::Space;
-use super::structure::{Structure, episode_lengths, structure};
+use super::structure::{Structure, check_members, episode_lengths, structure};
 use crate::episode::EpisodeRecord;
 use crate::error::{DatasetError, Result};
 use crate::format::{Format, OpenOptions};
@@ -18,7 +20,6 @@ use crate::formats::hdf5::{
     Array, ColumnSource, EpisodeRows, H5File, LeafBuilder, MemberKind, Piece, RowRule, StepColumn,
     StepScan, StepTable, attributes, join, members,
 };
-use crate::schema;
 use crate::source::{DatasetInfo, DatasetSource, Scan, Warning};
 
 /// A Minari dataset, open.
@@ -64,17 +65,12 @@ impl MinariSource {
         warnings.append(&mut structure.warnings);
         let n_steps = episodes.iter().map(|episode| episode.rows.n_steps).sum();
         count_warnings(&metadata, episodes.len() as u64, n_steps, &mut warnings);
-        let schema = table_schema(&structure.columns, &metadata);
-        let mut info = DatasetInfo::new(id(&metadata, path), Format::MinariHdf5, path.to_owned());
+        let schema = table_schema(Format::MinariHdf5, &structure.fields, &metadata);
+        let mut info = dataset_info(Format::MinariHdf5, path, metadata);
         info.n_episodes = Some(episodes.len() as u64);
         info.n_steps = Some(n_steps);
         info.observation = structure.observation;
         info.action = structure.action;
-        info.episode_rule = "as recorded".to_owned();
-        info.ref_min_score = metadata.number("ref_min_score");
-        info.ref_max_score = metadata.number("ref_max_score");
-        info.env_spec = metadata.env_spec;
-        info.metadata = metadata.fields;
         info.warnings = warnings;
         Ok(Self {
             data,
@@ -127,16 +123,6 @@ impl MinariSource {
     }
 }
 
-fn id(metadata: &Metadata, path: &Path) -> String {
-    if metadata.id.is_empty() {
-        return path
-            .file_name()
-            .map(|name| name.to_string_lossy().into_owned())
-            .unwrap_or_default();
-    }
-    metadata.id.clone()
-}
-
 /// Names of the episode groups by number: the library's order has `episode_10` before `episode_2`.
 fn episode_names(file: &H5File, warnings: &mut Vec<Warning>) -> Result<Vec<(u64, String)>> {
     let mut names = Vec::new();
@@ -166,17 +152,24 @@ fn first_structure(
     warnings: &mut Vec<Warning>,
 ) -> Result<Structure> {
     let Some((_, first)) = names.first() else {
-        return Err(DatasetError::Empty);
+        let leaves = SpaceLeaves::new(metadata)?;
+        return Ok(Structure {
+            fields: leaves.fields(),
+            observation: leaves.observation,
+            action: leaves.action,
+            columns: Vec::new(),
+            warnings: Vec::new(),
+        });
     };
     if metadata.observation_space.is_none() || metadata.action_space.is_none() {
         warnings.push(Warning::NoSpace);
     }
-    let space = |value: &Option<Value>| value.as_ref().map_or(Space::Unknown, Space::parse);
+    check_members(file, first, &mut BTreeSet::new())?;
     structure(
         file,
         first,
-        &space(&metadata.observation_space),
-        &space(&metadata.action_space),
+        &Space::of(&metadata.observation_space),
+        &Space::of(&metadata.action_space),
     )
 }
 
@@ -187,6 +180,9 @@ fn episodes(
     structure: &Structure,
     warnings: &mut Vec<Warning>,
 ) -> Result<Vec<Episode>> {
+    if names.is_empty() {
+        return Ok(Vec::new());
+    }
     let observation = structure
         .columns
         .iter()
@@ -199,7 +195,10 @@ fn episodes(
         })?;
     let mut episodes = Vec::with_capacity(names.len());
     let (mut n_empty, mut n_without_final) = (0, 0);
+    let (mut infos, mut first_infos) = (BTreeSet::new(), None);
     for (number, group) in names {
+        check_members(file, &group, &mut infos)?;
+        first_infos.get_or_insert_with(|| infos.clone());
         let (n_steps, n_observations) = episode_lengths(file, &group, observation)?;
         if n_steps == 0 {
             n_empty += 1;
@@ -238,55 +237,12 @@ fn episodes(
             n_episodes: n_without_final,
         });
     }
+    let late = infos.difference(first_infos.as_ref().unwrap_or(&infos));
+    warnings.extend(late.map(|key| Warning::ColumnLeftOut {
+        column: key.clone(),
+        reason: "the first episode does not have it",
+    }));
     Ok(episodes)
-}
-
-fn count_warnings(metadata: &Metadata, n_episodes: u64, n_steps: u64, warnings: &mut Vec<Warning>) {
-    let counts = [
-        ("episodes", metadata.total_episodes, n_episodes),
-        ("steps", metadata.total_steps, n_steps),
-    ];
-    for (what, recorded, actual) in counts {
-        if let Some(recorded) = recorded.filter(|recorded| *recorded != actual) {
-            warnings.push(Warning::CountMismatch {
-                what,
-                recorded,
-                actual,
-            });
-        }
-    }
-}
-
-fn table_schema(columns: &[StepColumn], metadata: &Metadata) -> SchemaRef {
-    let mut fields: Vec<FieldRef> = vec![
-        Arc::new(Field::new(schema::EPISODE_INDEX, DataType::Int64, false)),
-        Arc::new(Field::new(schema::STEP_INDEX, DataType::Int64, false)),
-    ];
-    fields.extend(columns.iter().map(|column| Arc::clone(&column.field)));
-    let json = |value: &Option<Value>| value.as_ref().map(Value::to_string);
-    let entries = [
-        (schema::VERSION_KEY, Some(schema::VERSION.to_owned())),
-        (
-            schema::SOURCE_FORMAT,
-            Some(Format::MinariHdf5.name().to_owned()),
-        ),
-        (schema::SOURCE_VERSION, metadata.version.clone()),
-        (schema::SOURCE_ID, Some(metadata.id.clone())),
-        (
-            schema::SOURCE_METADATA,
-            Some(Value::Object(metadata.fields.clone()).to_string()),
-        ),
-        (schema::SPACE_OBSERVATION, json(&metadata.observation_space)),
-        (schema::SPACE_ACTION, json(&metadata.action_space)),
-        (schema::ENV_SPEC, json(&metadata.env_spec)),
-    ];
-    let present = entries
-        .into_iter()
-        .filter_map(|(key, value)| Some((key.to_owned(), value?)));
-    Arc::new(Schema::new_with_metadata(
-        fields,
-        present.collect::<HashMap<_, _>>(),
-    ))
 }
 
 /// Attributes with `options/a/b` unfolded into nested objects.

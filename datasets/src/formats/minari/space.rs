@@ -7,6 +7,7 @@
 
 use std::cmp::Ordering;
 
+use arrow::datatypes::DataType;
 use serde_json::Value;
 
 use crate::spec::LeafKind;
@@ -20,6 +21,8 @@ pub(crate) enum Space {
     Leaf {
         kind: LeafKind,
         shape: Option<Vec<usize>>,
+        /// Type of one value; `None` for a NumPy type that no column can have.
+        data_type: Option<DataType>,
     },
     Dict(Vec<(String, Space)>),
     Tuple(Vec<Space>),
@@ -28,6 +31,11 @@ pub(crate) enum Space {
 }
 
 impl Space {
+    /// The space a metadata field holds, if any.
+    pub(crate) fn of(field: &Option<Value>) -> Self {
+        field.as_ref().map_or(Self::Unknown, Self::parse)
+    }
+
     /// Reads the JSON form; anything that does not fit is [`Self::Unknown`], never an error, since the data
     /// can be read without it.
     pub(crate) fn parse(value: &Value) -> Self {
@@ -40,23 +48,30 @@ impl Space {
             return Self::Unknown;
         }
         let shape = |key: &str| value.get(key).and_then(shape_of);
-        let leaf = |kind, shape| Self::Leaf { kind, shape };
+        let dtype = || data_type(value.get("dtype")?.as_str()?);
+        let leaf = |kind, shape, data_type| Self::Leaf {
+            kind,
+            shape,
+            data_type,
+        };
         match value.get("type").and_then(Value::as_str) {
-            Some("Box") if is_picture(value) => leaf(LeafKind::Image, shape("shape")),
-            Some("Box") => leaf(LeafKind::Box, shape("shape")),
-            Some("Discrete") => leaf(LeafKind::Discrete, Some(Vec::new())),
+            Some("Box") if is_picture(value) => leaf(LeafKind::Image, shape("shape"), dtype()),
+            Some("Box") => leaf(LeafKind::Box, shape("shape"), dtype()),
+            Some("Discrete") => leaf(LeafKind::Discrete, Some(Vec::new()), Some(DataType::Int64)),
             Some("MultiDiscrete") => leaf(
                 LeafKind::MultiDiscrete,
                 value.get("nvec").and_then(nested_shape),
+                dtype().or(Some(DataType::Int64)),
             ),
-            Some("MultiBinary") => match value.get("n") {
-                Some(Value::Number(n)) => {
-                    let n = n.as_u64().and_then(|n| usize::try_from(n).ok());
-                    leaf(LeafKind::MultiBinary, n.map(|n| vec![n]))
-                }
-                _ => leaf(LeafKind::MultiBinary, shape("n")),
-            },
-            Some("Text") => leaf(LeafKind::Text, Some(Vec::new())),
+            Some("MultiBinary") => {
+                let n = |n: &serde_json::Number| n.as_u64().and_then(|n| usize::try_from(n).ok());
+                let shape = match value.get("n") {
+                    Some(Value::Number(number)) => n(number).map(|n| vec![n]),
+                    _ => shape("n"),
+                };
+                leaf(LeafKind::MultiBinary, shape, Some(DataType::Int8))
+            }
+            Some("Text") => leaf(LeafKind::Text, Some(Vec::new()), Some(DataType::Utf8)),
             Some("Dict") => match value.get("subspaces") {
                 Some(Value::Object(parts)) => {
                     let parts = parts
@@ -91,6 +106,25 @@ impl Space {
         };
         found.unwrap_or(&Self::Unknown)
     }
+}
+
+/// The column type of a NumPy type.
+fn data_type(numpy: &str) -> Option<DataType> {
+    Some(match numpy {
+        "int8" => DataType::Int8,
+        "int16" => DataType::Int16,
+        "int32" => DataType::Int32,
+        "int64" => DataType::Int64,
+        "uint8" => DataType::UInt8,
+        "uint16" => DataType::UInt16,
+        "uint32" => DataType::UInt32,
+        "uint64" => DataType::UInt64,
+        "float16" => DataType::Float16,
+        "float32" => DataType::Float32,
+        "float64" => DataType::Float64,
+        "bool" => DataType::Boolean,
+        _ => return None,
+    })
 }
 
 /// `3` for `_index_3`.

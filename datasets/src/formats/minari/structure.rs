@@ -1,13 +1,14 @@
 //! The columns of a Minari dataset, as its first episode and its spaces have them.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use arrow::datatypes::DataType;
+use arrow::datatypes::{DataType, FieldRef};
 
 use super::space::{Space, key_order, tuple_index};
 use crate::error::{DatasetError, Result};
 use crate::formats::hdf5::{
-    Array, ColumnSource, Element, H5File, MemberKind, RowRule, StepColumn, failed, join, members,
+    Array, ColumnSource, Element, H5File, MemberKind, RowRule, StepColumn, join, members,
 };
 use crate::schema;
 use crate::source::Warning;
@@ -15,12 +16,16 @@ use crate::spec::{LeafKind, LeafSpec};
 
 /// Nesting of observations, actions and infos, at most; hard links can make a group its own member.
 const MAX_DEPTH: usize = 16;
+/// Members of all groups of an episode, at most: hard links can make few groups look like many.
+const MAX_MEMBERS: usize = 100_000;
 
 /// The leaves of one episode.
 pub(super) struct Structure {
     pub(super) observation: Vec<LeafSpec>,
     pub(super) action: Vec<LeafSpec>,
     pub(super) columns: Vec<StepColumn>,
+    /// Fields of the columns, and of those a dataset without episodes would have.
+    pub(super) fields: Vec<FieldRef>,
     pub(super) warnings: Vec<Warning>,
 }
 
@@ -98,6 +103,11 @@ pub(super) fn structure(
     Ok(Structure {
         observation,
         action,
+        fields: walk
+            .columns
+            .iter()
+            .map(|column| Arc::clone(&column.field))
+            .collect(),
         columns: walk.columns,
         warnings: walk.warnings,
     })
@@ -127,10 +137,7 @@ impl Walk<'_> {
             return self.leaf(node, space);
         }
         if node.depth > MAX_DEPTH {
-            return Err(DatasetError::corrupt(format!(
-                "group \"{}\" is nested without end",
-                node.key
-            )));
+            return Err(nested_without_end(node.key));
         }
         let path = join(self.episode, node.key);
         let group = self.file.group(&path)?;
@@ -227,7 +234,7 @@ impl Walk<'_> {
     ) -> Result<(LeafKind, Vec<usize>, Element)> {
         let stored = array.row_shape().to_vec();
         let (kind, declared) = match space {
-            Space::Leaf { kind, shape } => (Some(*kind), shape.clone()),
+            Space::Leaf { kind, shape, .. } => (Some(*kind), shape.clone()),
             _ => (None, None),
         };
         if array.element() == Element::Bytes {
@@ -310,20 +317,50 @@ pub(super) fn episode_lengths(
     episode: &str,
     observation: &str,
 ) -> Result<(u64, u64)> {
-    let length = |key: &str| -> Result<u64> {
-        let path = join(episode, key);
-        let array = file.root().dataset(&path).map_err(failed("open", &path))?;
-        let shape = array
-            .get_shape()
-            .map_err(failed("read the shape of", &path))?;
-        shape
-            .first()
-            .map(|&n| n as u64)
-            .ok_or_else(|| DatasetError::ShapeMismatch {
-                key: path.clone(),
-                actual: Vec::new(),
-                expected: "an array, not a scalar".to_owned(),
-            })
-    };
+    let length = |key: &str| Array::length(file.root(), &join(episode, key));
     Ok((length("rewards")?, length(observation)?))
+}
+
+/// Adds the keys of an episode's info leaves to `infos`, and refuses links that lead out of the file,
+/// wherever in the episode they are.
+///
+/// # Errors
+/// Such a link, or a damaged group.
+pub(super) fn check_members(
+    file: &H5File,
+    episode: &str,
+    infos: &mut BTreeSet<String>,
+) -> Result<()> {
+    let mut open = vec![(String::new(), 0)];
+    let mut n_members = 0;
+    while let Some((parent, depth)) = open.pop() {
+        let path = if parent.is_empty() {
+            episode.to_owned()
+        } else {
+            join(episode, &parent)
+        };
+        let listed = members(&file.group(&path)?, &path)?;
+        n_members += listed.len();
+        if n_members > MAX_MEMBERS {
+            return Err(nested_without_end(&path));
+        }
+        for member in listed {
+            let key = join(&parent, &member.name);
+            match member.kind {
+                MemberKind::Group if depth > MAX_DEPTH => {
+                    return Err(nested_without_end(&key));
+                }
+                MemberKind::Group => open.push((key, depth + 1)),
+                MemberKind::Array if key.starts_with("infos/") => {
+                    infos.insert(key);
+                }
+                MemberKind::Array => {}
+            }
+        }
+    }
+    Ok(())
+}
+
+fn nested_without_end(key: &str) -> DatasetError {
+    DatasetError::corrupt(format!("group \"{key}\" is nested without end"))
 }

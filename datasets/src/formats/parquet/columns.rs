@@ -8,7 +8,8 @@ use crate::error::{DatasetError, Result};
 use crate::schema;
 use crate::source::Warning;
 
-/// Names of the columns of a Parquet file. What is left empty is detected by the usual names:
+/// Names of the columns of a Parquet file. Episode ids may be integers, or text: then episodes are numbered from
+/// 0 as they appear and the text is kept under `info`. What is left empty is detected by the usual names:
 /// `episode_index|episode_id|episode`, `step_index|step|frame_index|timestep`,
 /// `observation|observations|obs|state` or all of `observation.*`, `action|actions|act` or all of `action.*`,
 /// `reward|rewards`, `terminated|terminals|terminations|done`, `truncated|timeouts|truncations`.
@@ -46,6 +47,8 @@ pub(crate) enum Conversion {
     None,
     /// An integer number to `Int64`, without nulls.
     Index,
+    /// A text to the number of its first appearance, as `Int64`.
+    Name,
     /// A list column to a `FixedSizeList`.
     List,
     /// A flag in any numeric type to a boolean.
@@ -187,7 +190,12 @@ impl Planner<'_> {
                 Field::new(canonical, DataType::Int64, false),
                 Conversion::Index,
             ),
-            (Role::Episode | Role::Step, _) => return Err(wrong("integers")),
+            (Role::Episode, _) if is_text(data_type) => (
+                Field::new(canonical, DataType::Int64, false),
+                Conversion::Name,
+            ),
+            (Role::Episode, _) => return Err(wrong("integers or text")),
+            (Role::Step, _) => return Err(wrong("integers")),
             (_, schema::REWARD) if schema::is_number(data_type) => (
                 Field::new(canonical, data_type.clone(), true),
                 Conversion::None,
@@ -296,7 +304,12 @@ impl Planner<'_> {
             let left_out = self.warnings.iter().any(
                 |warning| matches!(warning, Warning::ColumnLeftOut { column, .. } if column == name),
             );
-            if self.is_used(source) || left_out {
+            // The text of an episode is not in its number.
+            let is_name = |column: &ColumnPlan| {
+                column.source == source && column.conversion == Conversion::Name
+            };
+            let passes = !self.is_used(source) || self.columns.iter().any(is_name);
+            if !passes || left_out {
                 continue;
             }
             let keeps_name = schema::belongs_to(name, schema::INFO)
@@ -340,6 +353,13 @@ impl ColumnPlan {
             ..self
         }
     }
+}
+
+fn is_text(data_type: &DataType) -> bool {
+    matches!(
+        data_type,
+        DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View
+    )
 }
 
 /// Keeps what a column says about itself, but for the numbers Parquet gives its fields.
@@ -458,12 +478,12 @@ mod tests {
         };
         let error = FilePlan::new(&file, &wrong).unwrap_err().to_string();
         assert_eq!(error, "no observation column \"y\"; columns are x, action");
-        let text = Schema::new(vec![
-            Field::new("episode", DataType::Utf8, true),
+        let float = Schema::new(vec![
+            Field::new("episode", DataType::Float64, true),
             list("obs"),
             list("act"),
         ]);
-        let error = FilePlan::new(&text, &ColumnNames::default()).unwrap_err();
+        let error = FilePlan::new(&float, &ColumnNames::default()).unwrap_err();
         assert!(matches!(error, DatasetError::WrongType { .. }), "{error:?}");
     }
 }

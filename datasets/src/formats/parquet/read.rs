@@ -17,7 +17,9 @@ use parquet::arrow::arrow_reader::{
 use serde_json::{Map, Value};
 
 use super::columns::{ColumnNames, ColumnPlan, Conversion, FilePlan, Role};
-use super::rows::{EpisodeTracker, as_index, check_action, convert, first_width, with_width};
+use super::rows::{
+    EpisodeNames, EpisodeTracker, as_index, check_action, convert, first_width, with_width,
+};
 use crate::episode::EpisodeRecord;
 use crate::error::{DatasetError, Result};
 use crate::format::Format;
@@ -235,6 +237,7 @@ impl ParquetSource {
             columns,
             episodes: scan.episodes.clone(),
             tracker: EpisodeTracker::default(),
+            names: EpisodeNames::default(),
             null_action: None,
             failed: false,
         })
@@ -248,24 +251,25 @@ struct ParquetScan<'a> {
     columns: Vec<&'a ColumnPlan>,
     episodes: Option<Vec<i64>>,
     tracker: EpisodeTracker,
+    names: EpisodeNames,
     null_action: Option<(i64, u64)>,
     failed: bool,
 }
 
 impl ParquetScan<'_> {
-    fn file_name(&self, column: &ColumnPlan) -> &str {
-        self.source.metadata.schema().field(column.source).name()
-    }
-
     fn convert(&mut self, batch: &RecordBatch) -> Result<RecordBatch> {
         let first_row = self.tracker.first_row;
         let mut converted: Vec<(&ColumnPlan, ArrayRef)> = Vec::new();
         for column in &self.columns {
-            let name = self.file_name(column);
+            let name = self.source.metadata.schema().field(column.source).name();
             let array = batch
                 .column_by_name(name)
                 .ok_or_else(|| DatasetError::corrupt("a column vanished"))?;
-            converted.push((column, convert(column, name, array, first_row)?));
+            let array = match column.conversion {
+                Conversion::Name => self.names.numbers(name, array, first_row)?,
+                _ => convert(column, name, array, first_row)?,
+            };
+            converted.push((column, array));
         }
         let find = |role: Role| converted.iter().find(|(column, _)| column.role == role);
         let index = |role: Role| {

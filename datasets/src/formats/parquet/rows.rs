@@ -1,6 +1,6 @@
 //! Checks and conversions of one batch of a Parquet file.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use arrow::array::{
     Array, ArrayRef, AsArray, BooleanArray, FixedSizeListArray, Int64Array, OffsetSizeTrait,
@@ -79,6 +79,44 @@ impl EpisodeTracker {
     }
 }
 
+/// Numbers of the episodes that have text for an id, in order of appearance. Grows with the episodes, not with
+/// the rows.
+#[derive(Debug, Default)]
+pub(crate) struct EpisodeNames(HashMap<String, i64>);
+
+impl EpisodeNames {
+    /// The number of every row's episode; `first_row` is the batch's place in the file.
+    ///
+    /// # Errors
+    /// [`DatasetError::NullValue`] for a row without a text.
+    pub(crate) fn numbers(
+        &mut self,
+        name: &str,
+        array: &ArrayRef,
+        first_row: u64,
+    ) -> Result<ArrayRef> {
+        let place = Place { name, first_row };
+        let text = arrow::compute::cast(array, &DataType::Utf8)
+            .map_err(DatasetError::arrow("read a text column"))?;
+        if let Some(row) = first_null(&text) {
+            return Err(place.null(row));
+        }
+        let mut numbers = Vec::with_capacity(text.len());
+        for text in text.as_string::<i32>().iter().flatten() {
+            let number = match self.0.get(text) {
+                Some(&number) => number,
+                None => {
+                    let next = i64::try_from(self.0.len()).unwrap_or(i64::MAX);
+                    self.0.insert(text.to_owned(), next);
+                    next
+                }
+            };
+            numbers.push(number);
+        }
+        Ok(std::sync::Arc::new(Int64Array::from(numbers)))
+    }
+}
+
 /// Converts one column of a batch whose first row is `first_row` of the file.
 ///
 /// # Errors
@@ -92,6 +130,8 @@ pub(crate) fn convert(
     let place = Place { name, first_row };
     match plan.conversion {
         Conversion::Index => place.index(array),
+        // Numbered over all batches by `EpisodeNames`.
+        Conversion::Name => Err(place.wrong_type(array)),
         Conversion::Flag => place.flag(array),
         Conversion::List => {
             let DataType::FixedSizeList(_, width) = plan.field.data_type() else {
