@@ -43,7 +43,13 @@ pub(super) fn fit(data: &Matrix, centers: Vec<f64>, params: &KMeansParams) -> KM
         }
     }
     let labels = scan::assign(data, &fit.centers);
-    KMeans::assigned(fit.centers, labels, data, Some(n_iterations), Some(converged))
+    KMeans::assigned(
+        fit.centers,
+        labels,
+        data,
+        Some(n_iterations),
+        Some(converged),
+    )
 }
 
 /// A step goes this many times as far as Lloyd's. Any factor below 2 lowers the inertia at every
