@@ -266,6 +266,11 @@ pub(crate) fn squared_distance(a: &[f64], b: &[f64]) -> f64 {
     sum_of_squares(b, |i| a[i])
 }
 
+/// More than an f32 distance over `width` columns can lose where squares underflow.
+pub(crate) fn underflow(width: usize) -> f64 {
+    (width as f64).sqrt() * 2f64.powi(-74)
+}
+
 /// The largest L2 norm of any row: what error bounds of f32 passes grow with.
 pub(crate) fn max_norm(data: &Matrix) -> f64 {
     use rayon::prelude::*;

@@ -130,7 +130,7 @@ fn constant_columns_and_wild_magnitudes() {
         .flat_map(|v| [v, 7.0, 0.0])
         .collect();
     check(&constant, &[0.3, 7.0, 0.0, 0.0, 9.0, 1.0], 3, 20);
-    for scale in [1e-44, 1e-38, 1e-30, 1e-12, 1e6, 1e15, 1e30] {
+    for scale in [1e-44, 1e-38, 1e-30, 1e-22, 1e-20, 1e-12, 1e6, 1e15, 1e30] {
         for width in [2, 10] {
             let scaled = |seed, n: usize| -> Vec<f64> {
                 noise(n * width, seed)
@@ -145,6 +145,39 @@ fn constant_columns_and_wild_magnitudes() {
     let mut mixed = noise(300 * 10, 8);
     mixed[50] = 3e20;
     check(&mixed, &noise(40, 9), 10, 20);
+}
+
+/// All rows within the f32 bound of each other, so that the first pass can drop none: it must not
+/// carry them all along (which took minutes for what follows).
+#[test]
+fn ties_and_far_queries_stay_cheap() {
+    let width = 12;
+    let equal = vec![0.5; 60_000 * width];
+    let random = noise(60_000 * width, 20);
+    let far: Vec<f64> = noise(4 * width, 21).into_iter().map(|v| v * 1e9).collect();
+    let farther: Vec<f64> = far.iter().map(|v| v * 1e15).collect();
+    for (values, queries) in [
+        (&equal, &far),
+        (&equal, &vec![0.5; width]),
+        (&random, &far),
+        (&random, &farther),
+    ] {
+        let data = matrix(values, width);
+        for index in [
+            Box::new(Blocked::new(Arc::clone(&data))) as Box<dyn NeighborIndex>,
+            Box::new(clusters(&data, 1)),
+        ] {
+            let found = search(&*index, queries, 50);
+            for (query, row) in queries.chunks_exact(width).enumerate() {
+                assert_eq!(
+                    found.of(query),
+                    by_sorting(&data, row, 50, &(0..0)),
+                    "{}",
+                    index.engine()
+                );
+            }
+        }
+    }
 }
 
 #[test]

@@ -11,7 +11,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::nearest_center;
-use crate::matrix::{CHUNK_ROWS, Matrix, squared_distance};
+use crate::matrix::{CHUNK_ROWS, Matrix, squared_distance, underflow};
 use crate::tiles::{RowSet, TILE_ROWS, new_tile, pack};
 
 /// Centers scored together; with as many accumulators no multiply-add waits for another.
@@ -150,11 +150,14 @@ impl<'a> PackedCenters<'a> {
         let unit = f64::from(f32::EPSILON) / 2.0;
         let squared_norm = f64::from(squared_norm);
         let w = self.width as f64;
-        let doubt = (w + 8.0) * unit * (squared_norm.sqrt() + self.max_norm) * self.max_norm;
-        let slack = 2.0 * doubt + (w + 8.0) * unit * squared_norm;
+        let lost = underflow(self.width).powi(2);
+        let norms = squared_norm.sqrt() + self.max_norm;
+        let doubt = (w + 8.0) * unit * norms * self.max_norm + lost;
+        let slack = 2.0 * doubt + (w + 8.0) * unit * squared_norm + lost;
         let gap = f64::from(scores.second) - f64::from(scores.best);
-        // Written so that NaN and infinity, which an overflow could bring, count as doubt.
-        (gap > 2.0 * doubt && slack.is_finite()).then_some(DistanceBounds {
+        // Squares that may have overflowed count as doubt, and so does NaN.
+        let in_range = norms * norms < f64::from(f32::MAX) / 4.0;
+        (in_range && gap > 2.0 * doubt).then_some(DistanceBounds {
             squared_norm,
             slack,
         })

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use super::KMeans;
 use super::params::KMeansParams;
 use super::scan::{self, PackedCenters, RowScores, TileScores, squared_norms};
-use crate::matrix::{CHUNK_ROWS, Matrix, max_norm, squared_distance};
+use crate::matrix::{CHUNK_ROWS, Matrix, max_norm, squared_distance, underflow};
 use crate::normalizer::column_variances;
 use crate::tiles::{RowSet, TILE_ROWS, new_tile, pack};
 
@@ -293,7 +293,7 @@ impl<'a> Pass<'a> {
             group_drift: drift.group.iter().map(|&d| d as f32).collect(),
             half_gaps: packed.half_gaps().iter().map(|&gap| gap as f32).collect(),
             centers: packed.exact().iter().map(|&v| v as f32).collect(),
-            slack: (magnitude * 2f64.powi(-20)) as f32,
+            slack: (magnitude * 2f64.powi(-20) + underflow(data.n_features())) as f32,
         }
     }
 

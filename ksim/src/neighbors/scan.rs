@@ -6,14 +6,15 @@
 //! factor 1 ± (w + 4)u. Hence a row at true distance d has D̂ ≤ (d + e)²(1 + (w + 4)u), and
 //! d ≤ √(D̂(1 + (w + 4)u)) + e. If t is the n-th smallest D̂ so far, n rows lie within the latter
 //! of t, so no row beyond `Bound::widen(t)`, the former applied to the latter, can be among the n
-//! nearest. Both are widened once more to cover the rounding of the bounds themselves.
+//! nearest. Where squares underflow, each is off by at most 2⁻¹⁴⁹, which e takes in as √w·2⁻⁷⁴. Both
+//! bounds are widened once more to cover the rounding of the bounds themselves.
 
 use std::ops::Range;
 
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{Neighbor, rank};
-use crate::matrix::Matrix;
+use crate::matrix::{Matrix, underflow};
 use crate::tiles::{RUN_ROWS, RowSet, TILE_ROWS, new_tile, pack, squared_distances};
 
 /// Queries that one task carries over the rows.
@@ -34,9 +35,9 @@ pub(super) fn nearest(
     n: usize,
     max_norm: f64,
 ) -> Vec<Vec<Neighbor>> {
-    let mut states: Vec<State> = queries
+    let mut states: Vec<State<'_>> = queries
         .iter()
-        .map(|query| State::new(query, n, max_norm))
+        .map(|query| State::new(data, query, n, max_norm))
         .collect();
     Arch::new().dispatch(Scan {
         data,
@@ -67,7 +68,7 @@ impl Bound {
         let unit = f64::from(f32::EPSILON) / 2.0;
         let norm = query.iter().map(|v| v * v).sum::<f64>().sqrt();
         Self {
-            rounding: unit * (max_norm + norm) * 1.001 + f64::from(f32::MIN_POSITIVE),
+            rounding: unit * (max_norm + norm) * 1.001 + underflow(query.len()),
             factor: 1.0 + (query.len() as f64 + 8.0) * unit,
         }
     }
@@ -75,16 +76,21 @@ impl Bound {
     /// The largest f32 squared distance that a row no farther than the one behind `squared` can
     /// show.
     fn widen(&self, squared: f32) -> f32 {
-        let farthest = (f64::from(squared) * self.factor).sqrt() + self.rounding;
-        let shown = (farthest + self.rounding).powi(2) * self.factor;
-        (shown as f32).next_up()
+        self.shown((f64::from(squared) * self.factor).sqrt() + self.rounding)
+    }
+
+    /// The largest f32 squared distance that a row within `distance` can show.
+    fn shown(&self, distance: f64) -> f32 {
+        (((distance + self.rounding).powi(2) * self.factor) as f32).next_up()
     }
 }
 
 #[derive(Debug)]
-struct State {
+struct State<'a> {
+    data: &'a Matrix,
+    query: &'a Query<'a>,
+    /// The query in f32.
     values: Vec<f32>,
-    excluded: Range<usize>,
     n: usize,
     bound: Bound,
     /// Rows with a larger f32 squared distance cannot matter.
@@ -92,11 +98,12 @@ struct State {
     survivors: Vec<(f32, u32)>,
 }
 
-impl State {
-    fn new(query: &Query<'_>, n: usize, max_norm: f64) -> Self {
+impl<'a> State<'a> {
+    fn new(data: &'a Matrix, query: &'a Query<'a>, n: usize, max_norm: f64) -> Self {
         Self {
+            data,
+            query,
             values: query.values.iter().map(|&v| v as f32).collect(),
-            excluded: query.excluded.clone(),
             n,
             bound: Bound::new(query.values, max_norm),
             threshold: f32::INFINITY,
@@ -104,13 +111,20 @@ impl State {
         }
     }
 
+    /// Takes a row; they come in ascending order.
     fn push(&mut self, squared: f32, row: u32) {
-        if self.excluded.contains(&(row as usize)) {
+        if self.query.excluded.contains(&(row as usize)) {
             return;
         }
         self.survivors.push((squared, row));
-        if self.survivors.len() >= 4 * self.n + TILE_ROWS {
+        let full = 4 * self.n + TILE_ROWS;
+        if self.survivors.len() >= full {
             self.compact();
+            // Ties, or distances beyond what f32 can tell apart: only f64 makes room, and it must,
+            // or every further row would go through all of them again.
+            if self.survivors.len() > full / 2 {
+                self.compact_exactly();
+            }
         }
     }
 
@@ -128,6 +142,22 @@ impl State {
         self.survivors.retain(|(squared, _)| *squared <= threshold);
     }
 
+    /// Keeps the n best by exact distance. Rows to come are larger, so that a tie with the n-th
+    /// goes to the one that is kept.
+    fn compact_exactly(&mut self) {
+        let rows = self.survivors.iter().map(|&(_, row)| row);
+        let best = rank(self.data, self.query.values, rows, self.n);
+        if let Some(last) = best.last() {
+            self.threshold = self.threshold.min(self.bound.shown(last.distance));
+        }
+        self.survivors.clear();
+        let squared = |neighbor: &Neighbor| (neighbor.distance * neighbor.distance) as f32;
+        self.survivors.extend(
+            best.iter()
+                .map(|neighbor| (squared(neighbor), neighbor.row)),
+        );
+    }
+
     fn into_survivors(mut self) -> Vec<(f32, u32)> {
         self.compact();
         self.survivors
@@ -135,13 +165,13 @@ impl State {
 }
 
 /// The vectorised part: tiles of rows, packed column by column, against every query.
-struct Scan<'a> {
+struct Scan<'a, 'b> {
     data: &'a Matrix,
     rows: RowSet<'a>,
-    queries: &'a mut [State],
+    queries: &'a mut [State<'b>],
 }
 
-impl WithSimd for Scan<'_> {
+impl WithSimd for Scan<'_, '_> {
     type Output = ();
 
     #[inline(always)]
