@@ -7,7 +7,7 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum DataError {
     /// A value is NaN, infinite or too large for the engine.
-    #[error("row {row}, column {column} holds {value}, expected a finite number within ±3.4e38")]
+    #[error("row {row}, column {column} holds {value:e}, expected a finite number within ±3.4e38")]
     NonFinite {
         /// Row of the matrix, from 0.
         row: usize,
@@ -18,7 +18,7 @@ pub enum DataError {
     },
     /// The same, seen as a step of an episode.
     #[error(
-        "episode {episode_index}, step {step_index}: {part} column {column} holds {value}, \
+        "episode {episode_index}, step {step_index}: {part} column {column} holds {value:e}, \
          expected a finite number within ±3.4e38"
     )]
     NonFiniteStep {

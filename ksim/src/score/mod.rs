@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::error::ScoreError;
+use crate::error::{DataError, ScoreError};
 use crate::matrix::{Matrix, MatrixView};
 use crate::neighbors::{Neighbor, NeighborIndex, Neighbors, SearchRequest};
 use crate::normalizer::Normalizer;
@@ -200,7 +200,8 @@ impl KSim {
                 action_dim: rollouts.action_dim(),
             };
             let neighbors = self.index.search(&SearchRequest {
-                queries: MatrixView::new(&block.states, block.state_dim)?,
+                queries: MatrixView::new(&block.states, block.state_dim)
+                    .map_err(|error| at_step(rollouts, start, error))?,
                 n_neighbors: self.params.n_neighbors,
                 excluded: excluded.as_deref().map(|excluded| &excluded[rows.clone()]),
             })?;
@@ -322,12 +323,35 @@ fn step_score(gamma: f64, dim: f64, distance: f64) -> f64 {
 }
 
 fn no_candidate(rollouts: &Trajectories, row: usize) -> ScoreError {
+    let (episode_index, step_index) = step_of(rollouts, row);
+    ScoreError::NoCandidate {
+        episode_index,
+        step_index,
+    }
+}
+
+/// Where a normalized state left the range of the engine: the matrix that refused it knows only
+/// its own rows, from `start` of the rollouts.
+fn at_step(rollouts: &Trajectories, start: usize, error: DataError) -> ScoreError {
+    let DataError::NonFinite { row, column, value } = error else {
+        return error.into();
+    };
+    let (episode_index, step_index) = step_of(rollouts, start + row);
+    let part = "normalized state";
+    ScoreError::Data(DataError::NonFiniteStep {
+        episode_index,
+        step_index,
+        part,
+        column,
+        value,
+    })
+}
+
+/// Episode number and step of a row.
+fn step_of(rollouts: &Trajectories, row: usize) -> (i64, usize) {
     let episodes = rollouts.episodes();
     let episode = &episodes[episodes.partition_point(|episode| episode.rows.end <= row)];
-    ScoreError::NoCandidate {
-        episode_index: episode.episode_index,
-        step_index: row - episode.rows.start,
-    }
+    (episode.episode_index, row - episode.rows.start)
 }
 
 /// Consecutive rollout steps in normalized units.

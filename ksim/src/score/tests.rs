@@ -267,3 +267,26 @@ fn scores_do_not_depend_on_threads() {
     };
     assert_eq!(on(1), on(4));
 }
+
+#[test]
+fn a_state_beyond_the_range_of_the_engine_is_placed() {
+    let mut reference = Trajectories::new(1, 1).unwrap();
+    reference
+        .push(0, &[0.0, 1e-5, 2e-5], &[0.0, 0.5, 1.0])
+        .unwrap();
+    let ksim = KSim::params().fit(reference).unwrap();
+    let mut rollouts = Trajectories::new(1, 1).unwrap();
+    rollouts.push(3, &[0.0, 0.0, 3e38], &[0.0; 3]).unwrap();
+    let Err(ScoreError::Data(error)) = ksim.score(&rollouts) else {
+        panic!("a finite score of an infinite distance");
+    };
+    assert!(matches!(
+        error,
+        DataError::NonFiniteStep {
+            episode_index: 3,
+            step_index: 2,
+            ..
+        }
+    ));
+    assert!(error.to_string().len() < 160, "{error}");
+}
