@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use crate::error::{DatasetError, Result};
 use crate::formats::d4rl::EpisodePolicy;
 use crate::formats::hdf5_reading;
+use crate::formats::minari::{self, metadata::Metadata};
 use crate::formats::parquet::{self, ColumnNames};
 use crate::source::DatasetSource;
 
@@ -20,15 +21,21 @@ pub enum Format {
     D4rlHdf5,
     /// A Minari dataset folder with the HDF5 backend.
     MinariHdf5,
+    /// A Minari dataset folder with an Arrow IPC file per episode.
+    MinariArrow,
+    /// A Minari dataset folder with a Parquet file per episode.
+    MinariParquet,
 }
 
 impl Format {
-    /// Stable name: `parquet`, `d4rl-hdf5` or `minari-hdf5`.
+    /// Stable name: `parquet`, `d4rl-hdf5`, `minari-hdf5`, `minari-arrow` or `minari-parquet`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Parquet => "parquet",
             Self::D4rlHdf5 => "d4rl-hdf5",
             Self::MinariHdf5 => "minari-hdf5",
+            Self::MinariArrow => "minari-arrow",
+            Self::MinariParquet => "minari-parquet",
         }
     }
 }
@@ -64,10 +71,11 @@ const EXPECTED: &str =
 
 /// Tells the format by the content, never by the name.
 ///
-/// A folder is a Minari dataset if it has `data/metadata.json`; the `data` folder itself and its
-/// `main_data.hdf5` count as the dataset too.
+/// A folder is a Minari dataset if it has `data/metadata.json`, which names the storage; the `data` folder
+/// itself and its `main_data.hdf5` count as the dataset too.
 ///
 /// # Errors
+/// What is wrong with that file, or [`DatasetError::Unsupported`] for a storage that is not read.
 /// [`DatasetError::NotADataset`] for other folders and files, [`DatasetError::Corrupt`] for an empty file,
 /// [`DatasetError::Io`] if nothing can be read; each names the path.
 pub fn detect(path: &Path) -> Result<Format> {
@@ -85,6 +93,10 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn DatasetSource>
         Format::Parquet => parquet::open(&path, &options.columns),
         Format::D4rlHdf5 => hdf5_reading::open_d4rl(&path, options),
         Format::MinariHdf5 => hdf5_reading::open_minari(&path, options),
+        Format::MinariArrow | Format::MinariParquet => {
+            let source = minari::ColumnarSource::open(&path, format, options)?;
+            Ok(Box::new(source) as Box<dyn DatasetSource>)
+        }
     });
     opened.map_err(|error| error.in_file(path))
 }
@@ -123,14 +135,15 @@ fn locate(path: &Path) -> Result<(Format, PathBuf)> {
 }
 
 fn locate_folder(path: &Path) -> Result<(Format, PathBuf)> {
+    let minari = |path: &Path| Ok((Metadata::read(path)?.storage.format()?, path.to_owned()));
     if path.join("data").join("metadata.json").is_file() {
-        return Ok((Format::MinariHdf5, path.to_owned()));
+        return minari(path);
     }
     let parent = path
         .parent()
         .filter(|_| path.ends_with("data") && path.join("metadata.json").is_file());
     if let Some(dataset) = parent {
-        return Ok((Format::MinariHdf5, dataset.to_owned()));
+        return minari(dataset);
     }
     Err(DatasetError::NotADataset {
         expected: EXPECTED,

@@ -1,8 +1,8 @@
 //! Robot-learning datasets as Arrow record batches.
 //!
 //! One data model for every file format: a dataset is a table of steps (see [`schema`]) that is read in
-//! batches through the [`DatasetSource`] trait. Readers exist for Parquet, and with the feature `hdf5` for
-//! D4RL and Minari HDF5 files. This crate knows nothing of scoring, planners or simulators.
+//! batches through the [`DatasetSource`] trait. Readers exist for Parquet and for Minari's Arrow and Parquet
+//! storages, and with the feature `hdf5` for D4RL and Minari HDF5 files. This crate knows nothing of scoring, planners or simulators.
 //!
 //! Where to look: [`open`] and [`resolve`] find and open a dataset, [`TransitionReader`] turns its rows into
 //! plain matrices, [`summarize`] computes what `ksim dataset info` prints, [`ParquetSink`] writes.
@@ -27,6 +27,7 @@ mod episode;
 mod error;
 mod format;
 mod formats;
+mod guard;
 mod layout;
 mod matrix;
 mod resolve;

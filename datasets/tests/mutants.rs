@@ -44,14 +44,17 @@ fn mutate(bytes: &mut Vec<u8>, random: &mut Random) {
         bytes.truncate(random.below(bytes.len()));
         return;
     }
-    // The structure of a file sits mostly at its start; h5py scatters the rest.
-    let reach = if random.below(2) == 0 {
-        bytes.len().min(8192)
-    } else {
-        bytes.len()
+    // The structure of an HDF5 file sits mostly at its start (h5py scatters the rest), that of columnar
+    // files at their end.
+    let near = bytes.len().min(8192);
+    let (start, reach) = match random.below(4) {
+        0 => (0, near),
+        1 => (bytes.len() - near, near),
+        2 => (bytes.len() - bytes.len().min(1024), bytes.len().min(1024)),
+        _ => (0, bytes.len()),
     };
     for _ in 0..=random.below(8) {
-        let at = random.below(reach);
+        let at = start + random.below(reach);
         match random.below(4) {
             0 => bytes[at] = 0xFF,
             1 => bytes[at] = u8::try_from(random.below(256)).unwrap(),
@@ -69,9 +72,15 @@ fn samples(work: &Path) -> Vec<(PathBuf, Option<PathBuf>)> {
         .filter(small)
         .map(|path| (path, None))
         .collect();
-    for data in files(&golden("formats/minari"), "main_data.hdf5") {
-        let dataset = data.parent().and_then(Path::parent).unwrap().to_owned();
-        samples.push((data, Some(dataset)));
+    for metadata in files(&golden("formats/minari"), "metadata.json") {
+        if metadata.ends_with("data/metadata.json") {
+            let dataset = metadata.parent().and_then(Path::parent).unwrap();
+            for ending in [".hdf5", ".arrow", ".parquet"] {
+                // The columns are those of the first episode.
+                let data = files(dataset, ending).into_iter().next();
+                samples.extend(data.map(|data| (data, Some(dataset.to_owned()))));
+            }
+        }
     }
     let source = open(
         &golden("formats/hdf5/d4rl/adroit_like.hdf5"),
@@ -101,14 +110,16 @@ fn write_mutants(folder: &Path, n_mutants: usize, samples: &[(PathBuf, Option<Pa
             }
             Some(dataset) => {
                 let name = dataset.file_name().unwrap().to_string_lossy().into_owned();
-                let data = folder.join(format!("{number:05}-{name}")).join("data");
-                std::fs::create_dir_all(&data).unwrap();
-                std::fs::copy(
-                    dataset.join("data/metadata.json"),
-                    data.join("metadata.json"),
-                )
-                .unwrap();
-                std::fs::write(data.join("main_data.hdf5"), bytes).unwrap();
+                let mutant = folder.join(format!("{number:05}-{name}"));
+                for file in files(dataset, "") {
+                    let copy = mutant.join(file.strip_prefix(dataset).unwrap());
+                    std::fs::create_dir_all(copy.parent().unwrap()).unwrap();
+                    if file == *path {
+                        std::fs::write(copy, &bytes).unwrap();
+                    } else {
+                        std::fs::copy(&file, copy).unwrap();
+                    }
+                }
             }
         }
     }

@@ -1,6 +1,7 @@
 //! One module per file format, and what reads HDF5 in this build.
 
 pub(crate) mod d4rl;
+pub(crate) mod ipc;
 pub(crate) mod minari;
 pub(crate) mod parquet;
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{SearchRoots, minari_ids};
 use crate::format::{Format, HDF5_MAGIC};
-use crate::formats::minari::metadata::{Metadata, Storage};
+use crate::formats::minari::metadata::Metadata;
 
 /// Folders inside folders are looked through this deep: more than any namespace has.
 const MAX_DEPTH: usize = 8;
@@ -69,21 +69,21 @@ fn minari_entry(root: &Path, path: PathBuf) -> Option<Listed> {
         .collect();
     let id = parts?.join("/");
     let metadata = Metadata::read(&path);
-    let note = match &metadata {
-        Ok(Metadata {
-            storage: Storage::Other(name),
-            ..
-        }) => Some(format!("data_format {name} is not read yet")),
-        Ok(metadata) => metadata
+    let format = metadata
+        .as_ref()
+        .map_or(Ok(Format::MinariHdf5), |metadata| metadata.storage.format());
+    let note = match (&metadata, &format) {
+        (_, Err(error)) => Some(error.to_string()),
+        (Ok(metadata), _) => metadata
             .check_version(false)
             .err()
             .map(|error| error.to_string()),
-        Err(error) => Some(error.cause().to_string()),
+        (Err(error), _) => Some(error.cause().to_string()),
     };
     let counts = metadata.ok();
     Some(Listed {
         id,
-        format: Format::MinariHdf5,
+        format: format.unwrap_or(Format::MinariHdf5),
         n_episodes: counts.as_ref().and_then(|metadata| metadata.total_episodes),
         n_steps: counts.as_ref().and_then(|metadata| metadata.total_steps),
         path,
@@ -150,7 +150,7 @@ mod tests {
             ),
             (
                 "a-v1",
-                r#"{"minari_version": "0.5.4", "data_format": "arrow"}"#,
+                r#"{"minari_version": "0.5.4", "data_format": "zarr"}"#,
             ),
             ("bad-v0", "{"),
         ] {
@@ -183,7 +183,7 @@ mod tests {
             listed[0]
                 .note
                 .as_deref()
-                .is_some_and(|note| note.contains("arrow"))
+                .is_some_and(|note| note.contains("zarr"))
         );
         assert!(listed[2].note.is_some() && listed[3].note.is_none() && listed[4].note.is_some());
         assert!(list(&SearchRoots::default()).is_empty());

@@ -1,16 +1,13 @@
 //! The dataset's `metadata.json`.
 
-#![cfg_attr(
-    not(feature = "hdf5"),
-    allow(dead_code, reason = "listing needs a part, the HDF5 reader all")
-)]
-
+use std::io::ErrorKind;
 use std::path::Path;
 
 use serde_json::{Map, Value};
 
 use super::json;
 use crate::error::{DatasetError, Result};
+use crate::format::Format;
 use crate::source::Warning;
 
 /// The largest `metadata.json` that is read; published ones have a few kilobytes, image spaces some megabytes.
@@ -20,8 +17,27 @@ const MAX_BYTES: u64 = 256 << 20;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Storage {
     Hdf5,
+    Arrow,
+    Parquet,
     /// A storage this crate does not read yet, by its name.
     Other(String),
+}
+
+impl Storage {
+    /// The format of a dataset stored so, if it is read.
+    ///
+    /// # Errors
+    /// [`DatasetError::Unsupported`] naming the storage.
+    pub(crate) fn format(&self) -> Result<Format> {
+        match self {
+            Self::Hdf5 => Ok(Format::MinariHdf5),
+            Self::Arrow => Ok(Format::MinariArrow),
+            Self::Parquet => Ok(Format::MinariParquet),
+            Self::Other(name) => Err(DatasetError::Unsupported {
+                what: format!("data_format {name}"),
+            }),
+        }
+    }
 }
 
 /// What `metadata.json` says.
@@ -46,26 +62,22 @@ impl Metadata {
     /// The file is missing, too large or no JSON object, or holds a field of the wrong type; each names it.
     pub(crate) fn read(dataset: &Path) -> Result<Self> {
         let path = dataset.join("data").join("metadata.json");
-        let read = || -> Result<Self> {
-            let size = std::fs::metadata(&path)
-                .map_err(|e| DatasetError::io("open", e))?
-                .len();
-            if size > MAX_BYTES {
-                return Err(DatasetError::corrupt(format!("metadata of {size} bytes")));
-            }
-            let text = std::fs::read_to_string(&path).map_err(|e| DatasetError::io("read", e))?;
-            Self::parse(&text)
-        };
-        read().map_err(|error| error.in_file(&path))
+        read_object(&path)
+            .and_then(Self::of_fields)
+            .map_err(|error| error.in_file(&path))
     }
 
+    #[cfg(test)]
     fn parse(text: &str) -> Result<Self> {
-        let Value::Object(fields) = json::parse(text, "metadata.json")? else {
-            return Err(DatasetError::corrupt("metadata.json holds no object"));
-        };
+        Self::of_fields(parse_object(text)?)
+    }
+
+    fn of_fields(fields: Map<String, Value>) -> Result<Self> {
         let storage = match text_field(&fields, "data_format")?.as_deref() {
             // Datasets older than the field are HDF5.
             None | Some("hdf5") => Storage::Hdf5,
+            Some("arrow") => Storage::Arrow,
+            Some("parquet") => Storage::Parquet,
             Some(other) => Storage::Other(other.to_owned()),
         };
         Ok(Self {
@@ -104,6 +116,38 @@ impl Metadata {
     /// A field that is a number.
     pub(crate) fn number(&self, field: &str) -> Option<f64> {
         self.fields.get(field).and_then(Value::as_f64)
+    }
+}
+
+/// The attributes of an episode in a folder of its own: its `metadata.json`; empty if there is none.
+///
+/// # Errors
+/// The file is damaged.
+pub(super) fn episode_attributes(episode: &Path) -> Result<Map<String, Value>> {
+    let path = episode.join("metadata.json");
+    match read_object(&path) {
+        Err(DatasetError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {
+            Ok(Map::new())
+        }
+        other => other.map_err(|error| error.in_file(&path)),
+    }
+}
+
+fn read_object(path: &Path) -> Result<Map<String, Value>> {
+    let size = std::fs::metadata(path)
+        .map_err(|e| DatasetError::io("open", e))?
+        .len();
+    if size > MAX_BYTES {
+        return Err(DatasetError::corrupt(format!("metadata of {size} bytes")));
+    }
+    let text = std::fs::read_to_string(path).map_err(|e| DatasetError::io("read", e))?;
+    parse_object(&text)
+}
+
+fn parse_object(text: &str) -> Result<Map<String, Value>> {
+    match json::parse(text, "metadata.json")? {
+        Value::Object(fields) => Ok(fields),
+        _ => Err(DatasetError::corrupt("metadata.json holds no object")),
     }
 }
 

@@ -1,12 +1,12 @@
-//! Minari dataset folders: `data/metadata.json` beside the episodes.
+//! Minari dataset folders: `data/metadata.json` beside the episodes, which are one HDF5 file (`read`) or a
+//! folder each (`columnar`).
 //!
 //! Leaves of nested observations and actions come in this order: `achieved_goal` first, then the other keys
 //! by name (bytewise), `desired_goal` last; tuple elements by number. So AntMaze gives `achieved_goal` (2),
 //! `observation` (27), `desired_goal` (2).
 
-#[cfg(feature = "hdf5")]
+mod columnar;
 mod describe;
-#[cfg(feature = "hdf5")]
 mod empty;
 pub(crate) mod json;
 pub(crate) mod metadata;
@@ -17,6 +17,7 @@ mod read;
 #[cfg(feature = "hdf5")]
 mod structure;
 
+pub(crate) use columnar::ColumnarSource;
 #[cfg(feature = "hdf5")]
 pub(crate) use read::MinariSource;
 

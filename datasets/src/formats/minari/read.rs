@@ -10,7 +10,7 @@ use serde_json::{Map, Value};
 
 use super::describe::{count_warnings, dataset_info, table_schema};
 use super::empty::SpaceLeaves;
-use super::metadata::{Metadata, Storage};
+use super::metadata::Metadata;
 use super::space::Space;
 use super::structure::{Structure, check_members, episode_lengths, structure};
 use crate::episode::EpisodeRecord;
@@ -48,12 +48,6 @@ impl MinariSource {
         let mut warnings: Vec<Warning> =
             metadata.check_version(options.force)?.into_iter().collect();
         let data = path.join("data").join("main_data.hdf5");
-        if let Storage::Other(name) = &metadata.storage {
-            return Err(DatasetError::Unsupported {
-                what: format!("data_format {name}"),
-            }
-            .in_file(&path.join("data").join("metadata.json")));
-        }
         let mut inside = || -> Result<(H5File, Vec<Episode>, Structure)> {
             let file = H5File::open(&data)?;
             let names = episode_names(&file, &mut warnings)?;

@@ -1,10 +1,5 @@
 //! Gymnasium spaces as Minari writes them.
 
-#![cfg_attr(
-    not(feature = "hdf5"),
-    allow(dead_code, reason = "used by the HDF5 reader, tested always")
-)]
-
 use std::cmp::Ordering;
 
 use arrow::datatypes::DataType;

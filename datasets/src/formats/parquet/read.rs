@@ -23,6 +23,7 @@ use super::rows::{
 use crate::episode::EpisodeRecord;
 use crate::error::{DatasetError, Result};
 use crate::format::Format;
+use crate::guard;
 use crate::schema;
 use crate::source::{DatasetInfo, DatasetSource, Scan};
 use crate::spec::LeafSpec;
@@ -33,8 +34,10 @@ use crate::spec::LeafSpec;
 /// Not a Parquet file, missing columns, or columns of types that cannot serve.
 pub(crate) fn open(path: &Path, names: &ColumnNames) -> Result<Box<dyn DatasetSource>> {
     let file = File::open(path).map_err(|e| DatasetError::io("open", e))?;
-    let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
-        .map_err(DatasetError::parquet("read the Parquet footer"))?;
+    let metadata = guard::decode(|| {
+        ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
+            .map_err(DatasetError::parquet("read the Parquet footer"))
+    })?;
     let mut plan = FilePlan::new(metadata.schema(), names)?;
     let lists: Vec<usize> = plan
         .columns
@@ -77,10 +80,12 @@ fn first_widths(
         .with_limit(ROWS_TRIED)
         .build()
         .map_err(DatasetError::parquet("read the first rows"))?;
-    let batch = reader
-        .next()
-        .ok_or(DatasetError::Empty)?
-        .map_err(DatasetError::arrow("read the first rows"))?;
+    let batch = guard::decode(|| {
+        reader
+            .next()
+            .ok_or(DatasetError::Empty)?
+            .map_err(DatasetError::arrow("read the first rows"))
+    })?;
     let mut widths = Vec::new();
     for &source in lists {
         let name = metadata.schema().field(source).name();
@@ -336,11 +341,14 @@ impl Iterator for ParquetScan<'_> {
 
     fn next(&mut self) -> Option<Self::Item> {
         while !self.failed {
-            let batch = self
-                .reader
-                .next()?
-                .map_err(DatasetError::arrow("read rows"));
-            match batch.and_then(|batch| self.convert(&batch)) {
+            let reader = &mut self.reader;
+            let batch = guard::decode(|| {
+                reader
+                    .next()
+                    .transpose()
+                    .map_err(DatasetError::arrow("read rows"))
+            });
+            match batch.transpose()?.and_then(|batch| self.convert(&batch)) {
                 Ok(batch) if batch.num_rows() == 0 && self.episodes.is_some() => {}
                 Ok(batch) => return Some(Ok(batch)),
                 Err(error) => {
