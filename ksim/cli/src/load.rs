@@ -1,5 +1,6 @@
 //! From files to the engine's matrices, in batches.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 
 use anyhow::{Context as _, Result, anyhow, bail};
@@ -92,6 +93,8 @@ pub(crate) struct Columns {
     pub(crate) indices: Vec<usize>,
     /// A name for each.
     pub(crate) names: Vec<String>,
+    /// Places in the action, where they are not taken as they stand.
+    pub(crate) actions: Option<Vec<usize>>,
 }
 
 impl Columns {
@@ -106,7 +109,11 @@ impl Columns {
             .iter()
             .map(|&index| layout.column_name(index))
             .collect();
-        Ok(Self { indices, names })
+        Ok(Self {
+            indices,
+            names,
+            actions: None,
+        })
     }
 
     /// An engine's error with the place as the file has it.
@@ -127,10 +134,14 @@ impl Columns {
             ("state", Some(index)) => {
                 format!("observation column {index} ({})", self.names[column])
             }
-            _ => format!("{part} column {column}"),
+            _ => {
+                let actions = self.actions.as_ref();
+                let index = actions.and_then(|actions| actions.get(column));
+                format!("{part} column {}", index.unwrap_or(&column))
+            }
         };
         anyhow!(
-            "episode {episode_index}, step {step}: {column} holds {value}, \
+            "episode {episode_index}, step {step}: {column} holds {value:?}, \
              expected a finite number within ±3.4e38"
         )
     }
@@ -142,32 +153,6 @@ struct Run<'a> {
     numbers: &'a [i64],
     states: &'a [f64],
     actions: &'a [f64],
-}
-
-/// Refuses rollouts that are not as wide as the dataset.
-pub(crate) fn check_widths(
-    rollouts: &dyn DatasetSource,
-    dataset: &dyn DatasetSource,
-) -> Result<()> {
-    let (found, expected) = (rollouts.info(), dataset.info());
-    for (what, found_width, expected_width) in [
-        (
-            "observations",
-            found.observation_width(),
-            expected.observation_width(),
-        ),
-        ("actions", found.action_width(), expected.action_width()),
-    ] {
-        if found_width != expected_width {
-            bail!(
-                "{}: {what} have {found_width} columns, expected {expected_width} as in dataset {} ({})",
-                found.path.display(),
-                expected.id,
-                expected.path.display()
-            );
-        }
-    }
-    Ok(())
 }
 
 /// Reads a whole dataset as one group.
@@ -254,6 +239,10 @@ impl Groups<'_> {
     fn push(&mut self, batch: &Transitions) -> Result<()> {
         let planner = |row: usize| batch.text.as_ref().and_then(|text| text[row].as_deref());
         let key = |row: usize| (batch.episode_index[row], planner(row));
+        let (actions, action_width) = match &self.columns.actions {
+            Some(places) => (Cow::Owned(picked(batch, places)), places.len()),
+            None => (Cow::Borrowed(&*batch.actions), batch.action_width),
+        };
         let mut start = 0;
         while start < batch.n_rows() {
             let same = (start..batch.n_rows())
@@ -264,29 +253,36 @@ impl Groups<'_> {
                 episode: batch.episode_index[start],
                 numbers: &batch.step_index[rows.clone()],
                 states: &batch.states[rows.start * batch.state_width..rows.end * batch.state_width],
-                actions: &batch.actions
-                    [rows.start * batch.action_width..rows.end * batch.action_width],
+                actions: &actions[rows.start * action_width..rows.end * action_width],
             };
-            let group = self.group(planner(start), batch)?;
+            let group = self.group(planner(start), (batch.state_width, action_width))?;
             self.groups[group].push_run(&run, self.columns)?;
             start = rows.end;
         }
         Ok(())
     }
 
-    fn group(&mut self, planner: Option<&str>, batch: &Transitions) -> Result<usize> {
+    fn group(
+        &mut self,
+        planner: Option<&str>,
+        (state_width, action_width): (usize, usize),
+    ) -> Result<usize> {
         let planner = planner.map(str::to_owned);
         if let Some(&group) = self.by_planner.get(&planner) {
             return Ok(group);
         }
-        self.groups.push(Steps::new(
-            planner.clone(),
-            batch.state_width,
-            batch.action_width,
-        )?);
+        self.groups
+            .push(Steps::new(planner.clone(), state_width, action_width)?);
         self.by_planner.insert(planner, self.groups.len() - 1);
         Ok(self.groups.len() - 1)
     }
+}
+
+/// The action columns at `places` of every row.
+fn picked(batch: &Transitions, places: &[usize]) -> Vec<f64> {
+    let rows = batch.actions.chunks_exact(batch.action_width.max(1));
+    rows.flat_map(|row| places.iter().map(|&place| row[place]))
+        .collect()
 }
 
 #[cfg(test)]
@@ -310,6 +306,7 @@ mod tests {
         let columns = Columns {
             indices: vec![3],
             names: vec!["x[1]".to_owned()],
+            actions: None,
         };
         let mut groups = Groups {
             columns: &columns,

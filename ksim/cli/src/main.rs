@@ -10,6 +10,7 @@ mod document;
 mod load;
 mod outcome;
 mod output;
+mod pairing;
 mod per_step;
 mod scoring;
 mod settings;

@@ -16,6 +16,7 @@ use crate::document::{
 };
 use crate::load::{self, Columns, StepNumbers, Steps};
 use crate::outcome::CommandOutcome;
+use crate::pairing::{self, Listed};
 use crate::per_step::{Labels, PerStepWriter, Scored};
 use crate::settings::Settings;
 
@@ -46,7 +47,17 @@ pub(crate) struct Job {
 struct Inputs {
     dataset_name: String,
     dataset: Box<dyn DatasetSource>,
-    rollouts: Vec<(String, Box<dyn DatasetSource>)>,
+    columns: Columns,
+    rollouts: Vec<RolloutFile>,
+}
+
+/// One opened file of rollouts.
+struct RolloutFile {
+    /// As given on the command line.
+    name: String,
+    source: Box<dyn DatasetSource>,
+    /// Its columns that go with the dataset's.
+    columns: Columns,
 }
 
 /// A fitted reference and what is known about it.
@@ -55,7 +66,6 @@ struct Fitted {
     /// An exact search over the same reference, if the approximation error is wanted.
     exact: Option<KSim>,
     steps: StepNumbers,
-    columns: Columns,
     dataset: DatasetPart,
     parameters: Parameters,
     search: SearchPart,
@@ -85,7 +95,7 @@ pub(crate) fn run(job: &Job, context: &Context) -> Result<(Document, CommandOutc
         threads: context.threads(),
         elapsed_s: started.elapsed().as_secs_f64(),
     };
-    let sources = inputs.rollouts.iter().map(|(_, source)| source.info());
+    let sources = inputs.rollouts.iter().map(|file| file.source.info());
     let outcome = CommandOutcome::of(sources.chain([inputs.dataset.info()]));
     Ok((document, outcome))
 }
@@ -94,16 +104,24 @@ pub(crate) fn run(job: &Job, context: &Context) -> Result<(Document, CommandOutc
 fn open(job: &Job, context: &Context) -> Result<Inputs> {
     let (resolved, dataset) = data_args::open(&job.dataset, &job.dataset_options)?;
     warn_of(dataset.info(), context);
+    let columns = Columns::select(&*dataset, job.settings.state_columns.as_deref())
+        .with_context(|| dataset.info().path.display().to_string())?;
+    let listed = Listed::new(&job.rollout_options, &job.dataset_options);
     let mut rollouts = Vec::with_capacity(job.rollouts.len());
     for name in &job.rollouts {
         let (_, source) = data_args::open(name, &job.rollout_options)?;
-        load::check_widths(&*source, &*dataset)?;
+        let columns = pairing::columns_of(&*source, &*dataset, &columns, listed)?;
         warn_of(source.info(), context);
-        rollouts.push((name.clone(), source));
+        rollouts.push(RolloutFile {
+            name: name.clone(),
+            source,
+            columns,
+        });
     }
     Ok(Inputs {
         dataset_name: resolved.name,
         dataset,
+        columns,
         rollouts,
     })
 }
@@ -118,17 +136,16 @@ fn warn_of(info: &DatasetInfo, context: &Context) {
 fn fit(inputs: &Inputs, settings: &Settings, context: &Context) -> Result<Fitted> {
     let source = &*inputs.dataset;
     let info = source.info();
-    let columns = Columns::select(source, settings.state_columns.as_deref())
-        .with_context(|| info.path.display().to_string())?;
+    let columns = &inputs.columns;
     let centers = read_centers(settings, columns.indices.len())?;
-    let (reference, steps) = load::dataset(source, &columns, context)?.into_parts();
+    let (reference, steps) = load::dataset(source, columns, context)?.into_parts();
     let dataset = DatasetPart {
         n_episodes: reference.episodes().len(),
         n_steps: reference.n_rows(),
         fingerprint: reference.fingerprint(),
         ..DatasetPart::new(&inputs.dataset_name, info)
     };
-    let mut parameters = Parameters::new(settings, &columns, reference.action_dim());
+    let mut parameters = Parameters::new(settings, columns, reference.action_dim());
     let working = match (settings.search, &centers) {
         (Search::Clusters, None) => "fitting the clusters",
         _ => "building the search",
@@ -151,7 +168,6 @@ fn fit(inputs: &Inputs, settings: &Settings, context: &Context) -> Result<Fitted
         ksim,
         exact,
         steps,
-        columns,
         dataset,
         parameters,
         search,
@@ -187,7 +203,7 @@ fn score_all(
         planner: inputs
             .rollouts
             .iter()
-            .any(|(_, source)| load::names_planners(&**source)),
+            .any(|file| load::names_planners(&*file.source)),
     };
     let mut per_step = job
         .per_step
@@ -195,9 +211,14 @@ fn score_all(
         .map(|path| PerStepWriter::create(path, labels))
         .transpose()?;
     let mut results = Vec::new();
-    for (file, source) in &inputs.rollouts {
+    for RolloutFile {
+        name: file,
+        source,
+        columns,
+    } in &inputs.rollouts
+    {
         let path = source.info().path.display();
-        for steps in load::rollouts(&**source, &fitted.columns, context)? {
+        for steps in load::rollouts(&**source, columns, context)? {
             let (mut result, report) = score_one(file, &steps, fitted, (&job.settings, context))
                 .with_context(|| path.to_string())?;
             let of_reader = source.info().warnings.iter().map(ToString::to_string);

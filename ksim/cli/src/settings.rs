@@ -51,7 +51,8 @@ pub(crate) struct MetricArgs {
     #[arg(long, value_enum, default_value_t = Definition::Paper)]
     definition: Definition,
     /// State columns: numbers, ranges such as 0..2, names such as achieved_goal or observation[3..7], or
-    /// `all`; of the dataset's observation, and the same numbers of the rollouts' [default: by definition]
+    /// `all`; of the dataset's observation, and what goes with it by name in the rollouts', or by number where
+    /// one of the two is a single vector [default: by definition]
     #[arg(long, value_name = "COLUMNS")]
     state_columns: Option<String>,
     /// K: how many nearest states compete by their action

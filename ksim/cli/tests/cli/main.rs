@@ -3,6 +3,7 @@
 mod faults;
 #[cfg(feature = "hdf5")]
 mod golden;
+mod pairing;
 mod process;
 mod score;
 mod usage;

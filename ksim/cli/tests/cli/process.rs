@@ -158,12 +158,6 @@ impl Rollouts {
 
     /// Writes them as Parquet.
     pub(crate) fn write(&self, path: impl AsRef<Path>) {
-        let list = |width: usize, values: &[f32]| -> ArrayRef {
-            let item = Arc::new(Field::new("item", DataType::Float32, false));
-            let values = Arc::new(Float32Array::from(values.to_vec()));
-            let width = i32::try_from(width).expect("a small width");
-            Arc::new(FixedSizeListArray::new(item, width, values, None))
-        };
         let mut columns: Vec<(&str, ArrayRef)> = vec![
             (
                 self.names[0],
@@ -175,18 +169,31 @@ impl Rollouts {
         if let Some(planners) = &self.planners {
             columns.push(("planner", Arc::new(StringArray::from(planners.clone()))));
         }
-        let fields: Vec<Field> = columns
-            .iter()
-            .map(|(name, array)| Field::new(*name, array.data_type().clone(), false))
-            .collect();
-        let schema = Arc::new(Schema::new(fields));
-        let arrays = columns.into_iter().map(|(_, array)| array).collect();
-        let batch = RecordBatch::try_new(Arc::clone(&schema), arrays).expect("a batch");
-        let file = std::fs::File::create(path).expect("a file");
-        let mut writer = ArrowWriter::try_new(file, schema, None).expect("a writer");
-        writer.write(&batch).expect("rows are written");
-        writer.close().expect("the file is complete");
+        write_parquet(path, columns);
     }
+}
+
+/// Fixed-size lists, row-major.
+pub(crate) fn list(width: usize, values: &[f32]) -> ArrayRef {
+    let item = Arc::new(Field::new("item", DataType::Float32, false));
+    let values = Arc::new(Float32Array::from(values.to_vec()));
+    let width = i32::try_from(width).expect("a small width");
+    Arc::new(FixedSizeListArray::new(item, width, values, None))
+}
+
+/// Writes columns as Parquet.
+pub(crate) fn write_parquet(path: impl AsRef<Path>, columns: Vec<(&str, ArrayRef)>) {
+    let fields: Vec<Field> = columns
+        .iter()
+        .map(|(name, array)| Field::new(*name, array.data_type().clone(), false))
+        .collect();
+    let schema = Arc::new(Schema::new(fields));
+    let arrays = columns.into_iter().map(|(_, array)| array).collect();
+    let batch = RecordBatch::try_new(Arc::clone(&schema), arrays).expect("a batch");
+    let file = std::fs::File::create(path).expect("a file");
+    let mut writer = ArrowWriter::try_new(file, schema, None).expect("a writer");
+    writer.write(&batch).expect("rows are written");
+    writer.close().expect("the file is complete");
 }
 
 /// One column of a `--per-step` file, as numbers; nulls are NaN.
