@@ -1,6 +1,6 @@
 //! What is the same for every storage: the dataset's description, by its `metadata.json`.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -31,6 +31,50 @@ fn id(metadata: &Metadata, path: &Path) -> String {
             .unwrap_or_default();
     }
     metadata.id.clone()
+}
+
+/// What is odd about a dataset's episodes, gathered from one after the other.
+#[derive(Debug, Default)]
+pub(super) struct Oddities {
+    /// Episodes without a step.
+    pub(super) n_empty: u64,
+    /// Episodes without an observation after their last step.
+    pub(super) n_without_final: u64,
+    /// Info leaves of the first episode.
+    first_infos: Option<BTreeSet<String>>,
+    late_infos: BTreeSet<String>,
+}
+
+impl Oddities {
+    /// Notes the info leaves of the next episode.
+    pub(super) fn note_infos(&mut self, infos: BTreeSet<String>) {
+        match &self.first_infos {
+            None => self.first_infos = Some(infos),
+            Some(first) => {
+                let late = infos.into_iter().filter(|path| !first.contains(path));
+                self.late_infos.extend(late);
+            }
+        }
+    }
+
+    /// Adds what was gathered to the warnings.
+    pub(super) fn warn(self, warnings: &mut Vec<Warning>) {
+        if self.n_empty > 0 {
+            warnings.push(Warning::EmptyEpisodes {
+                n_episodes: self.n_empty,
+            });
+        }
+        if self.n_without_final > 0 {
+            warnings.push(Warning::NoFinalObservation {
+                n_episodes: self.n_without_final,
+            });
+        }
+        let late = self.late_infos.into_iter();
+        warnings.extend(late.map(|column| Warning::ColumnLeftOut {
+            column,
+            reason: "the first episode does not have it",
+        }));
+    }
 }
 
 /// Warns where the data's counts are not those of the metadata.

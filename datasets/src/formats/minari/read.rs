@@ -1,6 +1,5 @@
 //! Delivering a Minari dataset with the HDF5 backend in batches.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -8,7 +7,7 @@ use arrow::array::RecordBatchReader;
 use arrow::datatypes::SchemaRef;
 use serde_json::{Map, Value};
 
-use super::describe::{count_warnings, dataset_info, table_schema};
+use super::describe::{Oddities, count_warnings, dataset_info, table_schema};
 use super::empty::SpaceLeaves;
 use super::metadata::Metadata;
 use super::space::Space;
@@ -158,7 +157,7 @@ fn first_structure(
     if metadata.observation_space.is_none() || metadata.action_space.is_none() {
         warnings.push(Warning::NoSpace);
     }
-    check_members(file, first, &mut BTreeSet::new())?;
+    check_members(file, first)?;
     structure(
         file,
         first,
@@ -188,19 +187,17 @@ fn episodes(
             found: "an empty group".to_owned(),
         })?;
     let mut episodes = Vec::with_capacity(names.len());
-    let (mut n_empty, mut n_without_final) = (0, 0);
-    let (mut infos, mut first_infos) = (BTreeSet::new(), None);
+    let mut odd = Oddities::default();
     for (number, group) in names {
-        check_members(file, &group, &mut infos)?;
-        first_infos.get_or_insert_with(|| infos.clone());
+        odd.note_infos(check_members(file, &group)?);
         let (n_steps, n_observations) = episode_lengths(file, &group, observation)?;
         if n_steps == 0 {
-            n_empty += 1;
+            odd.n_empty += 1;
             continue;
         }
         let has_final_obs = n_observations == n_steps + 1;
         if n_observations == n_steps {
-            n_without_final += 1;
+            odd.n_without_final += 1;
         } else if !has_final_obs {
             let (key, actual, expected) = (join(&group, observation), n_observations, n_steps + 1);
             return Err(DatasetError::LengthMismatch {
@@ -221,21 +218,7 @@ fn episodes(
             },
         });
     }
-    if n_empty > 0 {
-        warnings.push(Warning::EmptyEpisodes {
-            n_episodes: n_empty,
-        });
-    }
-    if n_without_final > 0 {
-        warnings.push(Warning::NoFinalObservation {
-            n_episodes: n_without_final,
-        });
-    }
-    let late = infos.difference(first_infos.as_ref().unwrap_or(&infos));
-    warnings.extend(late.map(|key| Warning::ColumnLeftOut {
-        column: key.clone(),
-        reason: "the first episode does not have it",
-    }));
+    odd.warn(warnings);
     Ok(episodes)
 }
 

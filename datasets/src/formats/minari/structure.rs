@@ -40,13 +40,7 @@ pub(super) fn structure(
     action_space: &Space,
 ) -> Result<Structure> {
     let group = file.group(episode)?;
-    let mut walk = Walk {
-        file,
-        episode,
-        columns: Vec::new(),
-        leaves: Vec::new(),
-        warnings: Vec::new(),
-    };
+    let mut walk = Walk::new(file, episode);
     let top = members(&group, episode)?;
     let find = |name: &str| {
         top.iter()
@@ -63,23 +57,17 @@ pub(super) fn structure(
                 .join(", "),
         })
     };
-    let root = |key, column, rule| Node {
-        key,
-        column,
-        rule,
-        depth: 0,
-    };
     let kind = require("observations")?;
     walk.node(
         kind,
-        root("observations", schema::OBSERVATION, RowRule::Observation),
+        Node::root("observations", schema::OBSERVATION, RowRule::Observation),
         observation_space,
     )?;
     let observation = std::mem::take(&mut walk.leaves);
     let kind = require("actions")?;
     walk.node(
         kind,
-        root("actions", schema::ACTION, RowRule::Step),
+        Node::root("actions", schema::ACTION, RowRule::Step),
         action_space,
     )?;
     let action = std::mem::take(&mut walk.leaves);
@@ -96,21 +84,11 @@ pub(super) fn structure(
     if let Some(kind) = find("infos") {
         walk.node(
             kind,
-            root("infos", schema::INFO, RowRule::Info),
+            Node::root("infos", schema::INFO, RowRule::Info),
             &Space::Unknown,
         )?;
     }
-    Ok(Structure {
-        observation,
-        action,
-        fields: walk
-            .columns
-            .iter()
-            .map(|column| Arc::clone(&column.field))
-            .collect(),
-        columns: walk.columns,
-        warnings: walk.warnings,
-    })
+    Ok(walk.finish(observation, action))
 }
 
 struct Walk<'f> {
@@ -131,7 +109,39 @@ struct Node<'n> {
     depth: usize,
 }
 
-impl Walk<'_> {
+impl<'n> Node<'n> {
+    fn root(key: &'n str, column: &'n str, rule: RowRule) -> Self {
+        Self {
+            key,
+            column,
+            rule,
+            depth: 0,
+        }
+    }
+}
+
+impl<'f> Walk<'f> {
+    fn new(file: &'f H5File, episode: &'f str) -> Self {
+        Self {
+            file,
+            episode,
+            columns: Vec::new(),
+            leaves: Vec::new(),
+            warnings: Vec::new(),
+        }
+    }
+
+    fn finish(self, observation: Vec<LeafSpec>, action: Vec<LeafSpec>) -> Structure {
+        let fields = self.columns.iter();
+        Structure {
+            observation,
+            action,
+            fields: fields.map(|column| Arc::clone(&column.field)).collect(),
+            columns: self.columns,
+            warnings: self.warnings,
+        }
+    }
+
     fn node(&mut self, kind: MemberKind, node: Node<'_>, space: &Space) -> Result<()> {
         if kind == MemberKind::Array {
             return self.leaf(node, space);
@@ -321,16 +331,13 @@ pub(super) fn episode_lengths(
     Ok((length("rewards")?, length(observation)?))
 }
 
-/// Adds the keys of an episode's info leaves to `infos`, and refuses links that lead out of the file,
-/// wherever in the episode they are.
+/// The keys of an episode's info leaves. Links that lead out of the file are refused, wherever in the episode
+/// they are.
 ///
 /// # Errors
 /// Such a link, or a damaged group.
-pub(super) fn check_members(
-    file: &H5File,
-    episode: &str,
-    infos: &mut BTreeSet<String>,
-) -> Result<()> {
+pub(super) fn check_members(file: &H5File, episode: &str) -> Result<BTreeSet<String>> {
+    let mut infos = BTreeSet::new();
     let mut open = vec![(String::new(), 0)];
     let mut n_members = 0;
     while let Some((parent, depth)) = open.pop() {
@@ -358,7 +365,7 @@ pub(super) fn check_members(
             }
         }
     }
-    Ok(())
+    Ok(infos)
 }
 
 fn nested_without_end(key: &str) -> DatasetError {

@@ -111,11 +111,8 @@ impl FilePlan {
             planner.warnings.push(Warning::NoEpisodeColumn);
         }
         planner.scalar(Role::Step, names.step.as_deref(), STEP, schema::STEP_INDEX)?;
-        planner.leaves(
-            Role::Observation,
-            &names.observation,
-            (OBSERVATION, OBSERVATION_LAST),
-        )?;
+        let usual = (OBSERVATION, OBSERVATION_LAST);
+        planner.leaves(Role::Observation, &names.observation, usual)?;
         planner.leaves(Role::Action, &names.action, (ACTION, &[]))?;
         planner.scalar(Role::Other, names.reward.as_deref(), REWARD, schema::REWARD)?;
         planner.scalar(
@@ -145,8 +142,10 @@ struct Planner<'a> {
 }
 
 impl Planner<'_> {
+    /// Whether all of a column is in the plan; the text of an episode is not in its number.
     fn is_used(&self, source: usize) -> bool {
-        self.columns.iter().any(|column| column.source == source)
+        let mut columns = self.columns.iter();
+        columns.any(|column| column.source == source && column.conversion != Conversion::Name)
     }
 
     fn find(&self, name: &str, role: &'static str) -> Result<usize> {
@@ -304,12 +303,7 @@ impl Planner<'_> {
             let left_out = self.warnings.iter().any(
                 |warning| matches!(warning, Warning::ColumnLeftOut { column, .. } if column == name),
             );
-            // The text of an episode is not in its number.
-            let is_name = |column: &ColumnPlan| {
-                column.source == source && column.conversion == Conversion::Name
-            };
-            let passes = !self.is_used(source) || self.columns.iter().any(is_name);
-            if !passes || left_out {
+            if self.is_used(source) || left_out {
                 continue;
             }
             let keeps_name = schema::belongs_to(name, schema::INFO)

@@ -9,7 +9,7 @@ use arrow::datatypes::{FieldRef, SchemaRef};
 use arrow::error::ArrowError;
 use serde_json::Value;
 
-use super::super::describe::{count_warnings, dataset_info, table_schema};
+use super::super::describe::{Oddities, count_warnings, dataset_info, table_schema};
 use super::super::empty::SpaceLeaves;
 use super::super::metadata::{Metadata, episode_attributes};
 use super::super::space::Space;
@@ -150,15 +150,13 @@ fn episodes(
     numbers: Vec<i64>,
     warnings: &mut Vec<Warning>,
 ) -> Result<Vec<Episode>> {
-    let (mut n_empty, mut n_without_final) = (0, 0);
-    let (mut infos, mut first_infos) = (BTreeSet::new(), None);
+    let mut odd = Oddities::default();
     let mut episodes = Vec::with_capacity(numbers.len());
     for number in numbers {
         let folder = data.join(number.to_string());
         let path = Part::path(format, &folder);
         let part = Part::open(format, &path).map_err(|error| error.in_file(&path))?;
-        infos.append(&mut info_paths(part.schema()));
-        first_infos.get_or_insert_with(|| infos.clone());
+        odd.note_infos(info_paths(part.schema()));
         let n_rows = part.n_rows();
         let recorded = episode_attributes(&folder)?
             .get("total_steps")
@@ -173,31 +171,17 @@ fn episodes(
             return Err(error.in_file(&path));
         }
         if n_steps == 0 {
-            n_empty += 1;
+            odd.n_empty += 1;
             continue;
         }
-        n_without_final += u64::from(n_rows == n_steps);
+        odd.n_without_final += u64::from(n_rows == n_steps);
         episodes.push(Episode {
             number,
             n_rows,
             n_steps,
         });
     }
-    if n_empty > 0 {
-        warnings.push(Warning::EmptyEpisodes {
-            n_episodes: n_empty,
-        });
-    }
-    if n_without_final > 0 {
-        warnings.push(Warning::NoFinalObservation {
-            n_episodes: n_without_final,
-        });
-    }
-    let late = infos.difference(first_infos.as_ref().unwrap_or(&infos));
-    warnings.extend(late.map(|path| Warning::ColumnLeftOut {
-        column: path.clone(),
-        reason: "the first episode does not have it",
-    }));
+    odd.warn(warnings);
     Ok(episodes)
 }
 
