@@ -78,6 +78,13 @@ pub(crate) fn check_target(target: &Path) -> Result<()> {
             target.display()
         );
     }
+    // Replacing a device or a pipe would not write into it, but take its place.
+    if target.metadata().is_ok_and(|found| !found.is_file()) {
+        bail!(
+            "{} is not a regular file, expected the name of a file to write",
+            target.display()
+        );
+    }
     if target.file_name().is_none() {
         bail!("{} is not the name of a file", target.display());
     }
@@ -90,6 +97,43 @@ pub(crate) fn check_target(target: &Path) -> Result<()> {
         );
     }
     Ok(())
+}
+
+/// Refuses a target that is one of the files to read, by whatever name, or inside a folder to read.
+pub(crate) fn check_not_an_input<'a>(
+    target: &Path,
+    inputs: impl IntoIterator<Item = &'a Path>,
+) -> Result<()> {
+    let Ok(found) = target.canonicalize() else {
+        return Ok(()); // nothing is there yet
+    };
+    for input in inputs {
+        let inside = input
+            .canonicalize()
+            .is_ok_and(|input| found.starts_with(input));
+        if inside || is_same_file(&found, input) {
+            bail!(
+                "{} would replace what is read from {}: choose another file to write",
+                target.display(),
+                input.display()
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Whether two paths lead to the same file, by hard links too.
+#[cfg(unix)]
+fn is_same_file(one: &Path, other: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let id = |path: &Path| path.metadata().map(|found| (found.dev(), found.ino())).ok();
+    id(one).is_some_and(|one| id(other) == Some(one))
+}
+
+/// Canonical paths are compared already.
+#[cfg(not(unix))]
+fn is_same_file(_one: &Path, _other: &Path) -> bool {
+    false
 }
 
 /// A temporary file beside the target, with the permissions of any new file.
@@ -145,5 +189,36 @@ mod tests {
         let error = AtomicFile::create(&folder.path().join("none/out")).unwrap_err();
         assert!(error.to_string().contains("there is no folder"), "{error}");
         assert!(names(folder.path()).is_empty());
+    }
+
+    #[test]
+    fn an_input_is_no_target_by_any_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let input = folder.path().join("in");
+        std::fs::write(&input, "data").unwrap();
+        std::fs::create_dir(folder.path().join("sub")).unwrap();
+        let check = |target: &str| check_not_an_input(&folder.path().join(target), [&*input]);
+        let error = check("sub/../in").unwrap_err().to_string();
+        assert!(error.contains("would replace what is read"), "{error}");
+        check("out").unwrap();
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink(&input, folder.path().join("soft")).unwrap();
+            std::fs::hard_link(&input, folder.path().join("hard")).unwrap();
+            assert!(check("soft").is_err() && check("hard").is_err());
+        }
+        assert!(check_not_an_input(&input, [folder.path()]).is_err());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_device_is_no_target() {
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink("/dev/null", &link).unwrap();
+        for target in [Path::new("/dev/null"), &link] {
+            let error = check_target(target).unwrap_err().to_string();
+            assert!(error.contains("is not a regular file"), "{error}");
+        }
     }
 }

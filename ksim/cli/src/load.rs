@@ -191,7 +191,28 @@ pub(crate) fn names_planners(source: &dyn DatasetSource) -> bool {
     let schema = source.schema();
     schema
         .field_with_name(PLANNER)
-        .is_ok_and(|field| *field.data_type() == DataType::Utf8)
+        .is_ok_and(|field| is_text(field.data_type()))
+}
+
+/// What to say of a planner column that names none.
+pub(crate) fn ignored_planners(source: &dyn DatasetSource) -> Option<String> {
+    let schema = source.schema();
+    let field = schema.field_with_name(PLANNER).ok()?;
+    (!is_text(field.data_type())).then(|| {
+        format!(
+            "column \"planner\" is ignored: it holds {}, expected text",
+            field.data_type()
+        )
+    })
+}
+
+/// The types of text a [`TransitionReader`] reads.
+fn is_text(data_type: &DataType) -> bool {
+    match data_type {
+        DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View => true,
+        DataType::Dictionary(_, value) => is_text(value),
+        _ => false,
+    }
 }
 
 fn load(

@@ -82,6 +82,7 @@ pub(crate) fn run(job: &Job, context: &Context) -> Result<(Document, CommandOutc
         context.warn(&idle);
     }
     let inputs = open(job, context)?;
+    check_output(job, &inputs)?;
     let fitted = fit(&inputs, &job.settings, context)?;
     let results = score_all(&inputs, &fitted, job, context)?;
     let document = Document {
@@ -112,6 +113,9 @@ fn open(job: &Job, context: &Context) -> Result<Inputs> {
         let (_, source) = data_args::open(name, &job.rollout_options)?;
         let columns = pairing::columns_of(&*source, &*dataset, &columns, listed)?;
         warn_of(source.info(), context);
+        if let Some(warning) = load::ignored_planners(&*source) {
+            context.warn(&format!("{}: {warning}", source.info().path.display()));
+        }
         rollouts.push(RolloutFile {
             name: name.clone(),
             source,
@@ -124,6 +128,18 @@ fn open(job: &Job, context: &Context) -> Result<Inputs> {
         columns,
         rollouts,
     })
+}
+
+/// Refuses to write over what is read.
+fn check_output(job: &Job, inputs: &Inputs) -> Result<()> {
+    let Some(target) = &job.per_step else {
+        return Ok(());
+    };
+    let rollouts = inputs.rollouts.iter().map(|file| &*file.source);
+    let sources = rollouts.chain([&*inputs.dataset]);
+    let paths = sources.map(|source| &*source.info().path);
+    let centers = job.settings.centers.iter().map(|file| &*file.path);
+    atomic::check_not_an_input(target, paths.chain(centers))
 }
 
 fn warn_of(info: &DatasetInfo, context: &Context) {
@@ -226,7 +242,8 @@ fn score_all(
             for warning in &own {
                 context.warn(&format!("{}: {warning}", result.label()));
             }
-            result.warnings = of_reader.chain(own).collect();
+            let of_planners = load::ignored_planners(&**source);
+            result.warnings = of_reader.chain(of_planners).chain(own).collect();
             if let Some(writer) = &mut per_step {
                 writer.write(&Scored {
                     file,

@@ -97,6 +97,32 @@ fn a_target_that_cannot_be_written_is_refused_before_the_work() {
     score("none/steps.parquet").failed(1, &["there is no folder"]);
 }
 
+#[test]
+fn an_input_is_never_written_over() {
+    let demo = Demo::new();
+    let bytes = |name: &str| std::fs::read(demo.at(name)).unwrap();
+    let before = ["dataset.parquet", "good.parquet"].map(bytes);
+    for target in ["dataset.parquet", "good.parquet", "./good.parquet"] {
+        let target = demo.at(target);
+        demo.score(&["good.parquet"], &["--per-step", &target])
+            .failed(1, &["would replace what is read"]);
+    }
+    // Centers are refused before they are read.
+    let centers = demo.at("noisy.parquet");
+    let flags = ["--centers", &centers, "--per-step", &centers];
+    demo.score(&["good.parquet"], &flags)
+        .failed(1, &["would replace what is read"]);
+    assert_eq!(["dataset.parquet", "good.parquet"].map(bytes), before);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_device_is_no_target() {
+    let demo = Demo::new();
+    demo.score(&["no-such.parquet"], &["--per-step", "/dev/null"])
+        .failed(1, &["is not a regular file"]);
+}
+
 /// Sends a signal to a process of this test.
 #[cfg(unix)]
 fn interrupted(signal: &str) {

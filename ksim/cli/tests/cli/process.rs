@@ -4,9 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::Arc;
 
-use arrow::array::{
-    ArrayRef, FixedSizeListArray, Float32Array, Int64Array, RecordBatch, StringArray,
-};
+use arrow::array::{ArrayRef, FixedSizeListArray, Float32Array, Int64Array, RecordBatch};
 use arrow::datatypes::{DataType, Field, Schema};
 use parquet::arrow::ArrowWriter;
 use serde_json::Value;
@@ -137,7 +135,7 @@ pub(crate) struct Rollouts {
     /// Row-major.
     pub(crate) actions: Vec<f32>,
     /// Planner of each row.
-    pub(crate) planners: Option<Vec<&'static str>>,
+    pub(crate) planners: Option<ArrayRef>,
     /// Names of the three columns.
     pub(crate) names: [&'static str; 3],
 }
@@ -167,7 +165,7 @@ impl Rollouts {
             (self.names[2], list(self.widths[1], &self.actions)),
         ];
         if let Some(planners) = &self.planners {
-            columns.push(("planner", Arc::new(StringArray::from(planners.clone()))));
+            columns.push(("planner", Arc::clone(planners)));
         }
         write_parquet(path, columns);
     }

@@ -1,5 +1,11 @@
 //! `ksim score`: the document, the per-step file, the options.
 
+use std::sync::Arc;
+
+use arrow::array::{
+    ArrayRef, DictionaryArray, Int64Array, LargeStringArray, StringArray, StringViewArray,
+};
+use arrow::datatypes::Int32Type;
 use serde_json::Value;
 
 use crate::process::{Demo, Rollouts, batches, column};
@@ -358,28 +364,52 @@ fn one_episode_has_no_interval() {
 #[test]
 fn planners_of_one_file_get_rows_of_their_own() {
     let demo = Demo::new();
-    let planners = Some(vec!["b", "b", "a", "b"]);
+    let names = ["b", "b", "a", "b"];
+    let dictionary: DictionaryArray<Int32Type> = names.into_iter().collect();
+    for planners in [
+        Arc::new(StringArray::from(names.to_vec())) as ArrayRef,
+        Arc::new(LargeStringArray::from(names.to_vec())),
+        Arc::new(StringViewArray::from(names.to_vec())),
+        Arc::new(dictionary),
+    ] {
+        Rollouts {
+            planners: Some(planners),
+            ..Rollouts::new(&[0, 0, 1, 2], [31, 8])
+        }
+        .write(demo.at("two.parquet"));
+        let out = demo.at("steps.parquet");
+        let flags = ["--format", "json", "--per-step", &out];
+        let document = demo.score(&["two.parquet"], &flags).json();
+        let results = document["results"].as_array().unwrap();
+        let rows: Vec<_> = results
+            .iter()
+            .map(|r| (&r["planner"], &r["n_episodes"], &r["n_steps"]))
+            .collect();
+        assert_eq!(
+            rows,
+            [
+                (&"b".into(), &2.into(), &3.into()),
+                (&"a".into(), &1.into(), &1.into())
+            ]
+        );
+        assert_eq!(batches(&out)[0].schema().field(0).name(), "planner");
+    }
+}
+
+#[test]
+fn planners_that_are_no_text_are_ignored_aloud() {
+    let demo = Demo::new();
     Rollouts {
-        planners,
-        ..Rollouts::new(&[0, 0, 1, 2], [31, 8])
+        planners: Some(Arc::new(Int64Array::from(vec![1, 1, 2]))),
+        ..Rollouts::new(&[0, 0, 1], [31, 8])
     }
     .write(demo.at("two.parquet"));
-    let out = demo.at("steps.parquet");
-    let flags = ["--format", "json", "--per-step", &out];
-    let document = demo.score(&["two.parquet"], &flags).json();
-    let results = document["results"].as_array().unwrap();
-    let rows: Vec<_> = results
-        .iter()
-        .map(|r| (&r["planner"], &r["n_episodes"], &r["n_steps"]))
-        .collect();
-    assert_eq!(
-        rows,
-        [
-            (&"b".into(), &2.into(), &3.into()),
-            (&"a".into(), &1.into(), &1.into())
-        ]
-    );
-    assert_eq!(batches(&out)[0].schema().field(0).name(), "planner");
+    let run = demo.score(&["two.parquet"], &["--format", "json"]);
+    let warning = "column \"planner\" is ignored: it holds Int64, expected text";
+    assert!(run.stderr.contains(warning), "{}", run.stderr);
+    let document = run.json();
+    assert_eq!(document["results"].as_array().map(Vec::len), Some(1));
+    assert_eq!(document["results"][0]["warnings"][0], warning);
 }
 
 #[test]
