@@ -109,6 +109,9 @@ pub(crate) struct Parameters {
     pub(crate) seed: u64,
     pub(crate) n_resamples: usize,
     pub(crate) exclude_same_episode: bool,
+    /// Whether the state columns are the definition's own; for the words of the table.
+    #[serde(skip)]
+    pub(crate) own_columns: bool,
 }
 
 /// The search that found the nearest states.
@@ -244,6 +247,7 @@ impl Parameters {
             seed: settings.seed,
             n_resamples: settings.n_resamples,
             exclude_same_episode: settings.exclude_same_episode,
+            own_columns: settings.has_own_columns(),
         }
     }
 }

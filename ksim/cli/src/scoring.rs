@@ -19,6 +19,7 @@ use crate::outcome::CommandOutcome;
 use crate::pairing::{self, Listed};
 use crate::per_step::{Labels, PerStepWriter, Scored};
 use crate::settings::Settings;
+use crate::table;
 
 /// Share of saturated steps above which a score says little.
 const MUCH_SATURATION: f64 = 0.9;
@@ -78,7 +79,7 @@ pub(crate) fn run(job: &Job, context: &Context) -> Result<(Document, CommandOutc
     if let Some(path) = &job.per_step {
         atomic::check_target(path)?;
     }
-    if let Some(idle) = job.settings.idle_flags() {
+    for idle in job.settings.idle_flags() {
         context.warn(&idle);
     }
     let inputs = open(job, context)?;
@@ -297,11 +298,15 @@ fn warnings(report: &Report, settings: &Settings) -> Vec<String> {
                 .to_owned(),
         );
     } else if report.saturated_share > MUCH_SATURATION {
+        let [low, _, median, _, high] = report.scaled_distance_quantiles;
         warnings.push(format!(
-            "{:.1} % of the steps are saturated (score 1): K-Sim says little here; compare the mean \
-             d/√d, which is {:.4}",
+            "{:.1} % of the steps are saturated (score 1): K-Sim says little here; compare d/√d, \
+             which does not saturate: mean {}, median {}, 5–95 % {}–{}",
             100.0 * report.saturated_share,
-            report.mean_scaled_distance
+            table::decimals(report.mean_scaled_distance),
+            table::decimals(median),
+            table::decimals(low),
+            table::decimals(high)
         ));
     }
     if report.state_action.interval_95.is_none() && settings.n_resamples > 0 {

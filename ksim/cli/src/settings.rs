@@ -6,8 +6,12 @@ use ksim::{KMeans, KMeansBackend, KSim, KSimParams, Search};
 
 use crate::centers::CentersFile;
 
-/// The paper's number of clusters and of neighbors.
+/// The paper's numbers of clusters and of neighbors.
 const PAPER_CLUSTERS: usize = 50;
+const PAPER_NEIGHBORS: usize = 50;
+
+/// The paper's γ.
+const PAPER_GAMMA: f64 = 0.5;
 
 /// Which of the published definitions decides what no flag says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -19,6 +23,12 @@ pub(crate) enum Definition {
 }
 
 impl Definition {
+    /// Whether K, γ and the number of clusters, if there are any, are the paper's, which the script shares.
+    pub(crate) fn has_numbers(n_neighbors: usize, gamma: f64, n_clusters: Option<usize>) -> bool {
+        let clusters = n_clusters.is_none_or(|n_clusters| n_clusters == PAPER_CLUSTERS);
+        n_neighbors == PAPER_NEIGHBORS && gamma == PAPER_GAMMA && clusters
+    }
+
     /// Its name on the command line and in results.
     pub(crate) fn name(self) -> &'static str {
         match self {
@@ -56,16 +66,18 @@ pub(crate) struct MetricArgs {
     #[arg(long, value_name = "COLUMNS")]
     state_columns: Option<String>,
     /// K: how many nearest states compete by their action
-    #[arg(long, value_name = "K", default_value_t = 50, value_parser = parse_count)]
+    #[arg(long, value_name = "K", default_value_t = PAPER_NEIGHBORS, value_parser = parse_count,
+        allow_negative_numbers = true)]
     n_neighbors: usize,
     /// γ: the distance per √column at which a step's score leaves 1
-    #[arg(long, default_value_t = 0.5, value_parser = parse_gamma)]
+    #[arg(long, default_value_t = PAPER_GAMMA, value_parser = parse_gamma, allow_negative_numbers = true)]
     gamma: f64,
     /// Seed of the bootstrap and of k-means
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Resamples of the bootstrap over episodes
-    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = parse_resamples)]
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = parse_resamples,
+        allow_negative_numbers = true)]
     n_resamples: usize,
     /// Match no step with its own episode: for scoring a dataset against itself
     #[arg(long)]
@@ -80,7 +92,7 @@ pub(crate) struct SearchArgs {
     #[arg(long, value_enum, default_value_t = SearchName::Auto)]
     search: SearchName,
     /// Clusters of `--search clusters` [default: 50]
-    #[arg(long, value_name = "M", value_parser = parse_count)]
+    #[arg(long, value_name = "M", value_parser = parse_count, allow_negative_numbers = true)]
     n_clusters: Option<usize>,
     /// k-means behind `--search clusters`
     #[arg(long, value_enum, default_value_t = BackendName::Ksim)]
@@ -153,8 +165,8 @@ impl Default for Settings {
         Self {
             definition: Definition::Paper,
             state_columns: None,
-            n_neighbors: 50,
-            gamma: 0.5,
+            n_neighbors: PAPER_NEIGHBORS,
+            gamma: PAPER_GAMMA,
             seed: 0,
             n_resamples: 2000,
             exclude_same_episode: false,
@@ -215,13 +227,25 @@ impl Settings {
     }
 
     /// What was asked for and has no effect.
-    pub(crate) fn idle_flags(&self) -> Option<String> {
+    pub(crate) fn idle_flags(&self) -> Vec<String> {
         let exact = self.search != Search::Clusters;
-        (exact && self.n_clusters_given).then(|| {
-            "--n-clusters has no effect: the search is exact; for the paper's clusters add \
-             --search clusters"
-                .to_owned()
-        })
+        let flags = [
+            ("--n-clusters", self.n_clusters_given),
+            ("--k-means linfa", self.backend != KMeansBackend::Ksim),
+        ];
+        let idle = flags.into_iter().filter(|&(_, given)| given && exact);
+        let said = idle.map(|(flag, _)| {
+            format!(
+                "{flag} has no effect: the search is exact; for the paper's clusters add \
+                 --search clusters"
+            )
+        });
+        said.collect()
+    }
+
+    /// Whether the state columns are those of the definition.
+    pub(crate) fn has_own_columns(&self) -> bool {
+        self.state_columns.as_deref() == self.definition.state_columns()
     }
 
     /// The engine's parameters; given centers are `centers`.
@@ -359,6 +383,26 @@ mod tests {
         ] {
             assert!(resolve(&[flag]).is_err(), "{flag}");
         }
-        assert!(resolve(&["--n-clusters=7"]).unwrap().idle_flags().is_some());
+        for flags in [&["--n-neighbors", "-1"], &["--gamma", "-1"]] {
+            let error = resolve(flags).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::ValueValidation, "{error}");
+        }
+    }
+
+    #[test]
+    fn flags_of_clusters_are_idle_without_them() {
+        let idle = |flags: &[&str]| resolve(flags).unwrap().idle_flags().len();
+        assert_eq!(idle(&["--n-clusters=7"]), 1);
+        assert_eq!(idle(&["--n-clusters=7", "--search=clusters"]), 0);
+        #[cfg(feature = "linfa")]
+        assert_eq!(idle(&["--n-clusters=7", "--k-means=linfa"]), 2);
+    }
+
+    #[test]
+    fn own_columns_are_told_from_chosen_ones() {
+        let own = |flags: &[&str]| resolve(flags).unwrap().has_own_columns();
+        assert!(own(&[]) && own(&["--state-columns=all"]) && own(&["--definition=released"]));
+        assert!(!own(&["--state-columns=0..2"]));
+        assert!(!own(&["--definition=released", "--state-columns=all"]));
     }
 }

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use crate::document::{Document, RolloutResult, SearchPart};
+use crate::settings::Definition;
 
 /// Lines up cells below a header; columns of numbers and of nothing go to the right.
 pub(crate) fn align(rows: &[Vec<String>]) -> String {
@@ -38,6 +39,28 @@ pub(crate) fn align(rows: &[Vec<String>]) -> String {
 pub(crate) fn number(value: f64) -> String {
     let text = format!("{value:.4}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// A distance to four decimals; one too long to read in full by its power of ten.
+pub(crate) fn decimals(value: f64) -> String {
+    if is_readable(value) {
+        format!("{value:.4}")
+    } else {
+        format!("{value:.4e}")
+    }
+}
+
+/// A number in full, or by its power of ten where that would be long.
+fn plain(value: f64) -> String {
+    if is_readable(value) {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
+}
+
+fn is_readable(value: f64) -> bool {
+    value == 0.0 || (1e-4..1e7).contains(&value.abs())
 }
 
 /// Lines up names and what is said of them.
@@ -97,17 +120,46 @@ pub(crate) fn results(document: &Document) -> String {
             .map(|(result, label)| result_row(result, label)),
     );
     let mut text = align(&rows);
-    let headline = if by_episode {
-        "mean of the episodes' own means"
-    } else {
-        "mean over all steps"
-    };
     let _ = writeln!(
         text,
-        "* the {} definition: {headline}; the interval is a bootstrap over episodes of the episode mean",
-        document.parameters.definition
+        "* {}; the interval is a bootstrap over episodes of the episode mean",
+        headline(document)
     );
     text
+}
+
+/// What the starred number is, and how far it follows a published definition.
+fn headline(document: &Document) -> String {
+    let parameters = &document.parameters;
+    let is_paper = parameters.definition == Definition::Paper.name();
+    let columns = match (parameters.own_columns, is_paper) {
+        (true, true) => "all state columns",
+        (true, false) => "the first two state columns",
+        (false, _) => "the chosen state columns",
+    };
+    let (mean, source) = if is_paper {
+        ("mean over all steps", "the paper's definition")
+    } else {
+        (
+            "mean of the episodes' own means",
+            "as the authors' released script",
+        )
+    };
+    let (n_neighbors, n_clusters) = (parameters.n_neighbors, parameters.n_clusters);
+    let as_published = parameters.own_columns
+        && !parameters.exclude_same_episode
+        && Definition::has_numbers(n_neighbors, parameters.gamma, n_clusters);
+    let flags = if as_published {
+        ""
+    } else {
+        " but for the flags given"
+    };
+    let search = if document.search.exact {
+        ", by exact search"
+    } else {
+        ""
+    };
+    format!("{columns}, {mean} ({source}{flags}{search})")
 }
 
 /// Names of the rows: the file's name alone where no other file has the same.
@@ -146,7 +198,7 @@ fn result_row(result: &RolloutResult, label: String) -> Vec<String> {
         format!("{:.4}", result.k_sim_state),
         format!("{:.4}", result.k_sim_action),
         format!("{:.1} %", 100.0 * result.saturated_share),
-        format!("{:.4}", result.mean_scaled_distance),
+        decimals(result.mean_scaled_distance),
         format!("{:.2} s", result.elapsed_s),
     ]
 }
@@ -177,7 +229,10 @@ pub(crate) fn provenance(document: &Document) -> String {
             "parameters",
             format!(
                 "γ {}, K {}, seed {}, {} resamples{excluded}",
-                parameters.gamma, parameters.n_neighbors, parameters.seed, parameters.n_resamples
+                plain(parameters.gamma),
+                parameters.n_neighbors,
+                parameters.seed,
+                parameters.n_resamples
             ),
         ),
         (
@@ -276,6 +331,13 @@ mod tests {
             (number(1000.0), number(0.12344)),
             ("1000".to_owned(), "0.1234".to_owned())
         );
+    }
+
+    #[test]
+    fn huge_and_tiny_numbers_are_short() {
+        let seen = [0.0, 0.12345, 1e300, 2e-9, f64::INFINITY].map(decimals);
+        assert_eq!(seen, ["0.0000", "0.1235", "1.0000e300", "2.0000e-9", "inf"]);
+        assert_eq!([0.5, 1e300].map(plain), ["0.5", "1e300"]);
     }
 
     #[test]

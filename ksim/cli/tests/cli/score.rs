@@ -286,6 +286,39 @@ fn the_approximation_error_is_measured_on_request() {
 }
 
 #[test]
+fn the_table_says_what_its_headline_is() {
+    let demo = Demo::new();
+    let says = |flags: &[&str], words: &str| {
+        let text = demo.score(&["good.parquet"], flags).stdout;
+        assert!(text.contains(words), "no {words} in {text}");
+    };
+    says(
+        &[],
+        "* all state columns, mean over all steps (the paper's definition, by exact search);",
+    );
+    says(&["--search", "clusters"], "(the paper's definition);");
+    says(
+        &["--definition", "released"],
+        "* the first two state columns, mean of the episodes' own means (as the authors' released \
+         script, by exact search);",
+    );
+    says(
+        &["--gamma", "1e300"],
+        "(the paper's definition but for the flags given, by exact search);",
+    );
+    says(&["--gamma", "1e300"], "γ 1e300, ");
+}
+
+#[test]
+fn a_saturated_score_comes_with_the_distance_behind_it() {
+    let demo = Demo::new();
+    let run = demo.score(&["good.parquet"], &["--gamma", "100"]);
+    for part in ["100.0 % of the steps are saturated", "median ", "5–95 % "] {
+        assert!(run.stderr.contains(part), "no {part} in {}", run.stderr);
+    }
+}
+
+#[test]
 fn given_centers_are_used() {
     let demo = Demo::new();
     let path = demo.at("centers.safetensors");

@@ -58,6 +58,7 @@ fn wrong_usage_is_exit_2() {
     ksim(["score", "x.parquet"]).failed(2, &["--dataset"]);
     let score = |flags: &[&str]| demo.score(&["good.parquet"], flags);
     score(&["--gamma", "0"]).failed(2, &["expected a finite number above 0"]);
+    score(&["--gamma", "-1"]).failed(2, &["expected a finite number above 0"]);
     score(&["--n-neighbors", "0"]).failed(2, &["whole number"]);
     score(&["--threads", "0"]).failed(2, &["--threads"]);
     score(&["--search", "fast"]).failed(2, &["kd-tree"]);
