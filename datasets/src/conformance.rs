@@ -78,7 +78,7 @@ pub fn check_parquet_round_trip(source: &dyn DatasetSource, folder: &Path) -> Re
         !path.exists(),
         "nothing is visible before the sink finishes"
     );
-    let info = Box::new(sink).finish()?;
+    let info = Box::new(sink).finish()?.info;
     assert_eq!(info.id, source.info().id);
     let back = crate::formats::parquet::open(&path, &ColumnNames::default())?;
     let (before, after) = (

@@ -1,5 +1,6 @@
 //! The table of episodes, derived from a pass over the steps.
 
+use std::collections::HashMap;
 use std::fmt;
 
 use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
@@ -99,7 +100,49 @@ pub(crate) fn derive_episodes(source: &dyn DatasetSource) -> Result<Vec<EpisodeR
     })? {
         fold.add(&batch?, &marker)?;
     }
-    Ok(fold.episodes)
+    let mut episodes = fold.episodes;
+    if let Some(records) = schema.metadata().get(schema::EPISODE_RECORDS) {
+        add_records(&mut episodes, records)?;
+    }
+    Ok(episodes)
+}
+
+/// What [`schema::EPISODE_RECORDS`] holds for some episodes: `None` if there is nothing to record.
+pub(crate) fn records_json(episodes: &[EpisodeRecord]) -> Option<String> {
+    let records: Vec<Value> = episodes
+        .iter()
+        .filter(|episode| episode.seed.is_some() || !episode.attributes.is_empty())
+        .map(|episode| {
+            serde_json::json!({
+                schema::EPISODE_INDEX: episode.episode_index,
+                "seed": episode.seed,
+                "attributes": episode.attributes,
+            })
+        })
+        .collect();
+    (!records.is_empty()).then(|| Value::Array(records).to_string())
+}
+
+fn add_records(episodes: &mut [EpisodeRecord], json: &str) -> Result<()> {
+    let records: Vec<Map<String, Value>> =
+        serde_json::from_str(json).map_err(|source| DatasetError::Json {
+            what: schema::EPISODE_RECORDS.to_owned(),
+            source,
+        })?;
+    let by_index: HashMap<i64, &Map<String, Value>> = records
+        .iter()
+        .filter_map(|record| Some((record.get(schema::EPISODE_INDEX)?.as_i64()?, record)))
+        .collect();
+    for episode in episodes {
+        let Some(record) = by_index.get(&episode.episode_index) else {
+            continue;
+        };
+        episode.seed = record.get("seed").and_then(Value::as_u64);
+        if let Some(Value::Object(attributes)) = record.get("attributes") {
+            episode.attributes.clone_from(attributes);
+        }
+    }
+    Ok(())
 }
 
 /// First action column of a canonical schema.

@@ -178,6 +178,9 @@ pub enum DatasetError {
         /// The step found.
         actual: i64,
     },
+    /// Something is already where a dataset should be written.
+    #[error("there is something already; choose another name or remove it")]
+    AlreadyExists,
     /// A file without rows, where the format needs one to know the widths.
     #[error("no rows")]
     Empty,

@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 use crate::error::{DatasetError, Result};
 use crate::formats::d4rl::EpisodePolicy;
-use crate::formats::hdf5_reading;
 use crate::formats::minari::{self, metadata::Metadata};
 use crate::formats::parquet::{self, ColumnNames};
+use crate::formats::{hdf5_reading, ipc, lerobot, mcap_files, npz};
 use crate::source::DatasetSource;
 
 /// A dataset format.
@@ -25,10 +25,35 @@ pub enum Format {
     MinariArrow,
     /// A Minari dataset folder with a Parquet file per episode.
     MinariParquet,
+    /// An Arrow IPC file ("Feather version 2") in the canonical layout.
+    ArrowIpc,
+    /// A LeRobot dataset folder.
+    LeRobot,
+    /// An MCAP recording, or a folder of them.
+    Mcap,
+    /// A NumPy archive of flat arrays, as OGBench publishes them.
+    Npz,
+    /// A robomimic HDF5 file.
+    Robomimic,
 }
 
 impl Format {
-    /// Stable name: `parquet`, `d4rl-hdf5`, `minari-hdf5`, `minari-arrow` or `minari-parquet`.
+    /// All formats.
+    pub const ALL: [Self; 10] = [
+        Self::Parquet,
+        Self::ArrowIpc,
+        Self::D4rlHdf5,
+        Self::MinariHdf5,
+        Self::MinariArrow,
+        Self::MinariParquet,
+        Self::LeRobot,
+        Self::Mcap,
+        Self::Npz,
+        Self::Robomimic,
+    ];
+
+    /// Stable name: `parquet`, `arrow-ipc`, `d4rl-hdf5`, `minari-hdf5`, `minari-arrow`, `minari-parquet`,
+    /// `lerobot`, `mcap`, `npz` or `robomimic`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Parquet => "parquet",
@@ -36,6 +61,11 @@ impl Format {
             Self::MinariHdf5 => "minari-hdf5",
             Self::MinariArrow => "minari-arrow",
             Self::MinariParquet => "minari-parquet",
+            Self::ArrowIpc => "arrow-ipc",
+            Self::LeRobot => "lerobot",
+            Self::Mcap => "mcap",
+            Self::Npz => "npz",
+            Self::Robomimic => "robomimic",
         }
     }
 }
@@ -60,14 +90,21 @@ pub struct OpenOptions {
     pub terminate_on_end: bool,
     /// Open Minari datasets written by an unknown version.
     pub force: bool,
+    /// The mapping of an MCAP recording: a TOML file that says which fields are observation and action.
+    pub mapping: Option<PathBuf>,
+    /// Read what is whole of a damaged file; what is lost is a [`crate::Warning::Lost`].
+    pub recover: bool,
 }
 
 /// The eight bytes an HDF5 file has at offset 0, 512, 1024, 2048, ...
 pub(crate) const HDF5_MAGIC: [u8; 8] = *b"\x89HDF\r\n\x1a\n";
 const PARQUET_MAGIC: [u8; 4] = *b"PAR1";
+const IPC_MAGIC: [u8; 6] = *b"ARROW1";
+const ZIP_MAGIC: [u8; 4] = *b"PK\x03\x04";
+const MCAP_MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 /// What a path to a dataset may be.
-const EXPECTED: &str =
-    "a Parquet file, a D4RL HDF5 file or a Minari folder (with data/metadata.json)";
+const EXPECTED: &str = "a Parquet, Arrow IPC, npz or MCAP file, a D4RL or robomimic HDF5 file, \
+     a Minari folder (with data/metadata.json) or a LeRobot folder (with meta/info.json)";
 
 /// Tells the format by the content, never by the name.
 ///
@@ -93,6 +130,11 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn DatasetSource>
         Format::Parquet => parquet::open(&path, &options.columns),
         Format::D4rlHdf5 => hdf5_reading::open_d4rl(&path, options),
         Format::MinariHdf5 => hdf5_reading::open_minari(&path, options),
+        Format::Robomimic => hdf5_reading::open_robomimic(&path, options),
+        Format::ArrowIpc => ipc::open(&path, options),
+        Format::LeRobot => lerobot::open(&path, options),
+        Format::Mcap => mcap_files::open(&path, options),
+        Format::Npz => npz::open(&path, options),
         Format::MinariArrow | Format::MinariParquet => {
             let source = minari::ColumnarSource::open(&path, format, options)?;
             Ok(Box::new(source) as Box<dyn DatasetSource>)
@@ -114,19 +156,29 @@ fn locate(path: &Path) -> Result<(Format, PathBuf)> {
     if head.starts_with(&PARQUET_MAGIC) {
         return Ok((Format::Parquet, path.to_owned()));
     }
+    if head.starts_with(&IPC_MAGIC) {
+        return Ok((Format::ArrowIpc, path.to_owned()));
+    }
+    if head.starts_with(&ZIP_MAGIC) {
+        return Ok((Format::Npz, path.to_owned()));
+    }
+    if head.starts_with(&MCAP_MAGIC) {
+        return Ok((Format::Mcap, path.to_owned()));
+    }
     if head.starts_with(&HDF5_MAGIC) {
         let folder = path.parent();
         let in_minari = folder.is_some_and(|data| data.join("metadata.json").is_file());
         return match folder.and_then(Path::parent) {
             Some(dataset) if in_minari => Ok((Format::MinariHdf5, dataset.to_owned())),
+            _ if hdf5_reading::is_robomimic(path) => Ok((Format::Robomimic, path.to_owned())),
             _ => Ok((Format::D4rlHdf5, path.to_owned())),
         };
     }
     let found = describe_head(&head);
     match path.extension().and_then(|e| e.to_str()) {
-        Some("hdf5" | "h5" | "parquet") => Err(DatasetError::corrupt(format!(
-            "the file starts with {found} at offset 0, not with its magic"
-        ))),
+        Some("hdf5" | "h5" | "parquet" | "arrow" | "mcap" | "npz") => Err(DatasetError::corrupt(
+            format!("the file starts with {found} at offset 0, not with its magic"),
+        )),
         _ => Err(DatasetError::NotADataset {
             expected: EXPECTED,
             found,
@@ -139,6 +191,12 @@ fn locate_folder(path: &Path) -> Result<(Format, PathBuf)> {
     if path.join("data").join("metadata.json").is_file() {
         return minari(path);
     }
+    if path.join("meta").join("info.json").is_file() {
+        return Ok((Format::LeRobot, path.to_owned()));
+    }
+    if holds_mcap(path) {
+        return Ok((Format::Mcap, path.to_owned()));
+    }
     let parent = path
         .parent()
         .filter(|_| path.ends_with("data") && path.join("metadata.json").is_file());
@@ -148,6 +206,13 @@ fn locate_folder(path: &Path) -> Result<(Format, PathBuf)> {
     Err(DatasetError::NotADataset {
         expected: EXPECTED,
         found: describe_folder(path),
+    })
+}
+
+/// Whether a folder has a recording in it, as rosbag2 writes them.
+fn holds_mcap(path: &Path) -> bool {
+    std::fs::read_dir(path).is_ok_and(|mut entries| {
+        entries.any(|entry| entry.is_ok_and(|e| e.path().extension().is_some_and(|e| e == "mcap")))
     })
 }
 

@@ -23,6 +23,9 @@
 
 #[cfg(feature = "test-util")]
 pub mod conformance;
+pub mod convert;
+#[cfg(feature = "download")]
+pub mod download;
 mod episode;
 mod error;
 mod format;
@@ -30,12 +33,15 @@ mod formats;
 mod guard;
 mod layout;
 mod matrix;
+pub mod registry;
 mod resolve;
 pub mod schema;
 mod sink;
 mod source;
 mod spec;
+mod staging;
 mod summary;
+pub mod validate;
 
 pub use episode::{EpisodeEnd, EpisodeRecord};
 pub use error::{DatasetError, Result};
@@ -45,7 +51,10 @@ pub use formats::parquet::{ColumnNames, ParquetSink};
 pub use layout::{LayoutLeaf, ObservationLayout};
 pub use matrix::{TransitionOptions, TransitionReader, Transitions};
 pub use resolve::{Listed, Resolved, SearchRoots, list, resolve};
-pub use sink::{DatasetSink, copy};
+pub use sink::{
+    DatasetSink, FinalObservation, Loss, LossEffect, McapEncoding, SinkInput, WriteOptions,
+    Written, copy, create,
+};
 pub use source::{DatasetInfo, DatasetSource, Scan, Warning};
 pub use spec::{LeafKind, LeafSpec};
 pub use summary::{ColumnSummary, Spread, Summary, summarize};

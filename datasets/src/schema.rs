@@ -72,6 +72,19 @@ pub const ENV_SPEC: &str = "env_spec";
 pub const IMAGE_CODEC: &str = "image.codec";
 /// Field metadata of an encoded picture: its shape as a JSON list.
 pub const IMAGE_SHAPE: &str = "image.shape";
+/// Schema metadata: what the source records of its episodes (seed, attributes), as a JSON list of objects
+/// with `episode_index`. Formats with a place of their own for it do not write this key.
+pub const EPISODE_RECORDS: &str = "episodes.records";
+/// Schema metadata: steps per second, where the source has a fixed rate.
+pub const FPS: &str = "fps";
+
+/// Field metadata: names of the values of a row, as a JSON list in C order.
+pub const NAMES: &str = "names";
+/// Field metadata: unit of the values, such as `rad`, `m` or `m/s`.
+pub const UNIT: &str = "unit";
+/// Field metadata: what the values are where a plain difference would mislead: `angle` (wraps at 2π) or
+/// `quaternion_xyzw` (q and −q are the same rotation).
+pub const KIND: &str = "kind";
 /// Field metadata: value type in the source, where the column has another one (flags).
 pub const SOURCE_DTYPE: &str = "source.dtype";
 

@@ -195,6 +195,11 @@ pub enum Warning {
     },
     /// The dataset has no description of its spaces: kinds are inferred from shapes.
     NoSpace,
+    /// Part of a damaged file could not be recovered.
+    Lost {
+        /// What is lost, and where.
+        what: String,
+    },
 }
 
 impl fmt::Display for Warning {
@@ -246,6 +251,7 @@ impl fmt::Display for Warning {
             Self::ColumnLeftOut { column, reason } => {
                 write!(f, "\"{column}\" is left out: {reason}")
             }
+            Self::Lost { what } => write!(f, "lost: {what}"),
             Self::NoSpace => f.write_str("no space is recorded: kinds are inferred from shapes"),
         }
     }

@@ -23,3 +23,20 @@ pub(crate) fn open_minari(_path: &Path, _options: &OpenOptions) -> Result<Box<dy
         feature: "hdf5",
     })
 }
+
+/// # Errors
+/// Always: this build cannot read HDF5.
+pub(crate) fn open_robomimic(
+    _path: &Path,
+    _options: &OpenOptions,
+) -> Result<Box<dyn DatasetSource>> {
+    Err(DatasetError::MissingFeature {
+        what: "robomimic HDF5",
+        feature: "hdf5",
+    })
+}
+
+/// False: this build cannot look into HDF5.
+pub(crate) fn is_robomimic(_path: &Path) -> bool {
+    false
+}

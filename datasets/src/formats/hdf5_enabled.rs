@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::error::Result;
 use crate::format::OpenOptions;
-use crate::formats::{d4rl, minari};
+use crate::formats::{d4rl, minari, robomimic};
 use crate::source::DatasetSource;
 
 /// Opens a D4RL file.
@@ -21,4 +21,18 @@ pub(crate) fn open_d4rl(path: &Path, options: &OpenOptions) -> Result<Box<dyn Da
 /// Whatever is wrong with the dataset.
 pub(crate) fn open_minari(path: &Path, options: &OpenOptions) -> Result<Box<dyn DatasetSource>> {
     Ok(Box::new(minari::MinariSource::open(path, options)?))
+}
+
+/// Opens a robomimic file.
+///
+/// # Errors
+/// Whatever is wrong with the file.
+pub(crate) fn open_robomimic(path: &Path, options: &OpenOptions) -> Result<Box<dyn DatasetSource>> {
+    robomimic::open(path, options)
+}
+
+/// Whether an HDF5 file is robomimic's: it has a group `data`. False if it cannot be opened: then the reader
+/// that is tried says what is wrong.
+pub(crate) fn is_robomimic(_path: &Path) -> bool {
+    false
 }

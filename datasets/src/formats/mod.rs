@@ -1,12 +1,18 @@
-//! One module per file format, and what reads HDF5 in this build.
+//! One module per file format, and what reads and writes HDF5 and MCAP in this build.
 
 pub(crate) mod d4rl;
 pub(crate) mod ipc;
+pub(crate) mod lerobot;
 pub(crate) mod minari;
+pub(crate) mod npz;
 pub(crate) mod parquet;
 
 #[cfg(feature = "hdf5")]
 pub(crate) mod hdf5;
+#[cfg(feature = "mcap")]
+pub(crate) mod mcap;
+#[cfg(feature = "hdf5")]
+pub(crate) mod robomimic;
 
 #[cfg(not(feature = "hdf5"))]
 #[path = "hdf5_disabled.rs"]
@@ -14,3 +20,17 @@ pub(crate) mod hdf5_reading;
 #[cfg(feature = "hdf5")]
 #[path = "hdf5_enabled.rs"]
 pub(crate) mod hdf5_reading;
+
+#[cfg(not(feature = "hdf5"))]
+#[path = "hdf5_writing_disabled.rs"]
+pub(crate) mod hdf5_writing;
+#[cfg(feature = "hdf5")]
+#[path = "hdf5_writing_enabled.rs"]
+pub(crate) mod hdf5_writing;
+
+#[cfg(not(feature = "mcap"))]
+#[path = "mcap_disabled.rs"]
+pub(crate) mod mcap_files;
+#[cfg(feature = "mcap")]
+#[path = "mcap_enabled.rs"]
+pub(crate) mod mcap_files;

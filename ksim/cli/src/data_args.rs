@@ -1,5 +1,7 @@
 //! How datasets and rollouts are found and opened: options that several commands share.
 
+use std::path::PathBuf;
+
 use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
@@ -21,6 +23,12 @@ pub(crate) struct DataArgs {
     /// Try to read a Minari dataset of an unknown version
     #[arg(long)]
     force: bool,
+    /// Read what is whole of a damaged file, and say what is lost
+    #[arg(long)]
+    recover: bool,
+    /// Which fields of an MCAP recording are observation and action (see `ksim dataset inspect`)
+    #[arg(long, value_name = "FILE.toml")]
+    mapping: Option<PathBuf>,
     #[command(flatten)]
     columns: ColumnArgs,
 }
@@ -92,6 +100,8 @@ impl DataArgs {
             max_episode_steps: self.max_episode_steps,
             terminate_on_end: false,
             force: self.force,
+            mapping: self.mapping.clone(),
+            recover: self.recover,
         }
     }
 

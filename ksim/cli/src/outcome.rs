@@ -43,6 +43,7 @@ fn is_data_loss(warning: &Warning) -> bool {
         Warning::CountMismatch { .. }
         | Warning::EmptyEpisodes { .. }
         | Warning::NoEpisodeEnds { .. }
+        | Warning::Lost { .. }
         | Warning::SpaceMismatch { .. }
         | Warning::UnreliableTimeouts => true,
         Warning::ColumnLeftOut { column, .. } => {

@@ -8,3 +8,34 @@ mod check;
 mod file;
 
 pub(crate) use file::IpcFile;
+
+use std::path::Path;
+
+use crate::error::{DatasetError, Result};
+use crate::format::OpenOptions;
+use crate::sink::{DatasetSink, SinkInput, WriteOptions};
+use crate::source::DatasetSource;
+
+/// Opens a file in the canonical layout.
+///
+/// # Errors
+/// What is wrong with it.
+pub(crate) fn open(_path: &Path, _options: &OpenOptions) -> Result<Box<dyn DatasetSource>> {
+    Err(DatasetError::Unsupported {
+        what: "Arrow IPC".to_owned(),
+    })
+}
+
+/// Starts a file.
+///
+/// # Errors
+/// The file cannot be made.
+pub(crate) fn create(
+    _path: &Path,
+    _input: &SinkInput<'_>,
+    _options: &WriteOptions,
+) -> Result<Box<dyn DatasetSink>> {
+    Err(DatasetError::Unsupported {
+        what: "writing Arrow IPC".to_owned(),
+    })
+}

@@ -18,6 +18,7 @@ mod read;
 mod structure;
 
 pub(crate) use columnar::ColumnarSource;
+pub(crate) use columnar::create as create_columnar;
 #[cfg(feature = "hdf5")]
 pub(crate) use read::MinariSource;
 

@@ -13,8 +13,8 @@ use parquet::schema::types::ColumnPath;
 use super::columns::ColumnNames;
 use crate::error::{DatasetError, Result};
 use crate::schema;
-use crate::sink::DatasetSink;
-use crate::source::DatasetInfo;
+use crate::sink::{DatasetSink, Written};
+use crate::staging::Staged;
 
 /// A row group is closed at the first episode border after this many rows, so that no episode straddles two
 /// groups unless it is longer than [`MAX_GROUP_ROWS`].
@@ -25,24 +25,9 @@ const MAX_GROUP_ROWS: usize = 131_072;
 /// zstd for robot data), row groups aligned to episode borders.
 pub struct ParquetSink {
     path: PathBuf,
-    unfinished: Unfinished,
+    staged: Staged,
     writer: ArrowWriter<File>,
     last_episode: Option<i64>,
-}
-
-/// The file under its temporary name; removed unless it was put in place.
-struct Unfinished {
-    path: PathBuf,
-    keep: bool,
-}
-
-impl Drop for Unfinished {
-    fn drop(&mut self) {
-        if !self.keep {
-            // Nothing useful can be done if this fails: the name says what the file is.
-            let _ = std::fs::remove_file(&self.path);
-        }
-    }
 }
 
 impl ParquetSink {
@@ -62,19 +47,14 @@ impl ParquetSink {
                 schema::STEP_INDEX.to_owned(),
             ]),
         )?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let temporary = path.with_file_name(format!(".{name}.{}.unfinished", std::process::id()));
-        let file = File::create(&temporary).map_err(|e| DatasetError::io("create", e))?;
-        let unfinished = Unfinished {
-            path: temporary,
-            keep: false,
-        };
+        let staged = Staged::file(path)?;
+        let file = File::create(staged.path()).map_err(|e| DatasetError::io("create", e))?;
         let properties = properties(&schema);
         let writer = ArrowWriter::try_new(file, schema, Some(properties))
             .map_err(DatasetError::parquet("start a Parquet file"))?;
         Ok(Self {
             path: path.to_owned(),
-            unfinished,
+            staged,
             writer,
             last_episode: None,
         })
@@ -125,21 +105,23 @@ impl DatasetSink for ParquetSink {
             .map_err(|error| error.in_file(&self.path))
     }
 
-    fn finish(self: Box<Self>) -> Result<DatasetInfo> {
+    fn finish(self: Box<Self>) -> Result<Written> {
         let Self {
             path,
-            mut unfinished,
+            staged,
             writer,
             ..
         } = *self;
-        let place = || -> Result<DatasetInfo> {
+        let place = || -> Result<Written> {
             let file = writer
                 .into_inner()
                 .map_err(DatasetError::parquet("finish a Parquet file"))?;
             file.sync_all().map_err(|e| DatasetError::io("write", e))?;
-            std::fs::rename(&unfinished.path, &path).map_err(|e| DatasetError::io("create", e))?;
-            unfinished.keep = true;
-            Ok(super::open(&path, &ColumnNames::default())?.info().clone())
+            staged.publish()?;
+            Ok(Written {
+                info: super::open(&path, &ColumnNames::default())?.info().clone(),
+                losses: Vec::new(),
+            })
         };
         place().map_err(|error| error.in_file(&path))
     }

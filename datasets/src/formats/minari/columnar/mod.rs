@@ -11,3 +11,6 @@ mod part;
 mod source;
 
 pub(crate) use source::ColumnarSource;
+
+mod write;
+pub(crate) use write::create;

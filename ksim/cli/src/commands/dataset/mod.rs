@@ -1,5 +1,9 @@
 //! `ksim dataset`: what is on this machine, and what a dataset holds.
 
+mod download;
+mod inspect;
+mod validate;
+
 use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand};
 use ksim_datasets::{DatasetInfo, Listed, SearchRoots, Spread, Summary};
@@ -50,6 +54,9 @@ enum DatasetCommand {
         #[command(flatten)]
         data: Box<DataArgs>,
     },
+    Inspect(Box<inspect::InspectArgs>),
+    Validate(Box<validate::ValidateArgs>),
+    Download(download::DownloadArgs),
 }
 
 /// Runs the subcommand.
@@ -61,6 +68,9 @@ pub(crate) fn run(args: &DatasetArgs, context: &Context) -> Result<CommandOutcom
             format,
             data,
         } => info(dataset, *format, data, context),
+        DatasetCommand::Inspect(args) => inspect::run(args, context),
+        DatasetCommand::Validate(args) => validate::run(args, context),
+        DatasetCommand::Download(args) => download::run(args, context),
     }
 }
 

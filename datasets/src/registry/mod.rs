@@ -1,0 +1,1 @@
+//! Known datasets: where they are published, their sizes, checksums and reference scores.
