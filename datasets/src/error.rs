@@ -234,6 +234,16 @@ pub enum DatasetError {
         /// What it should be.
         expected: &'static str,
     },
+    /// A message of a recording that does not fit its type, or cannot be represented.
+    #[error("message of \"{topic}\" at log time {log_time} ns: {what}")]
+    Message {
+        /// The topic.
+        topic: String,
+        /// When it was recorded, in ns.
+        log_time: u64,
+        /// What is wrong with it.
+        what: String,
+    },
     /// A dataset id that is not allowed.
     #[error("dataset id \"{}\" is refused: {reason}", id.escape_debug())]
     BadId {

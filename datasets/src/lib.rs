@@ -33,6 +33,15 @@ mod formats;
 mod guard;
 mod layout;
 mod matrix;
+/// MCAP recordings as such: channels, messages, and what is in them. For datasets see [`open`].
+#[cfg(feature = "mcap")]
+pub mod mcap {
+    pub use crate::formats::mcap::{
+        AttachmentEntry, Channel, ChunkEntry, Decoder, Extracted, FieldDescription, FieldKind,
+        FieldLength, FieldPath, Message, MessageOptions, MessageSchema, Messages, Metadata, Plan,
+        Recording, Slot, Statistics, Summary, Value,
+    };
+}
 pub mod registry;
 mod resolve;
 pub mod schema;
