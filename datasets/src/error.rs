@@ -1,5 +1,6 @@
 //! What can go wrong while finding, opening or reading a dataset.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use arrow::error::ArrowError;
@@ -181,6 +182,31 @@ pub enum DatasetError {
     /// Something is already where a dataset should be written.
     #[error("there is something already; choose another name or remove it")]
     AlreadyExists,
+    /// The caller broke the work off.
+    #[error("interrupted; nothing was written")]
+    Interrupted,
+    /// Episodes that are not there.
+    #[error("no episode in {}..{}; there are {found}", wanted.start, wanted.end)]
+    NoSuchEpisode {
+        /// The range asked for.
+        wanted: Range<i64>,
+        /// What there is.
+        found: String,
+    },
+    /// A number that another type cannot hold.
+    #[error("row {row} (episode {episode}) of \"{column}\" is {value}, which no {to} can hold")]
+    DoesNotFit {
+        /// The column.
+        column: String,
+        /// Its episode.
+        episode: i64,
+        /// Row of the scan, from 0.
+        row: u64,
+        /// The value.
+        value: f64,
+        /// The type.
+        to: String,
+    },
     /// A file without rows, where the format needs one to know the widths.
     #[error("no rows")]
     Empty,

@@ -65,5 +65,5 @@ pub use sink::{
     Written, copy, create,
 };
 pub use source::{DatasetInfo, DatasetSource, Scan, Warning};
-pub use spec::{LeafKind, LeafSpec};
+pub use spec::{LeafKind, LeafSpec, arrow_type};
 pub use summary::{ColumnSummary, Spread, Summary, summarize};

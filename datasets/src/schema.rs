@@ -172,6 +172,11 @@ pub fn escape_key(key: &str) -> String {
     key.replace('~', "~0").replace('.', "~1")
 }
 
+/// The key behind [`escape_key`].
+pub fn unescape_key(key: &str) -> String {
+    key.replace("~1", ".").replace("~0", "~")
+}
+
 /// `parent.key`, with the key escaped.
 pub fn join_key(parent: &str, key: &str) -> String {
     format!("{parent}.{}", escape_key(key))
@@ -211,14 +216,14 @@ pub fn project(
     ))
 }
 
+/// The names of all columns.
+pub(crate) fn all_names(schema: &Schema) -> Vec<String> {
+    schema.fields().iter().map(|f| f.name().clone()).collect()
+}
+
 /// The names of all columns, for messages.
 pub(crate) fn column_names(schema: &Schema) -> String {
-    schema
-        .fields()
-        .iter()
-        .map(|field| field.name().as_str())
-        .collect::<Vec<_>>()
-        .join(", ")
+    all_names(schema).join(", ")
 }
 
 fn tensor_metadata(shape: &[usize]) -> HashMap<String, String> {

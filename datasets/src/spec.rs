@@ -4,6 +4,24 @@ use arrow::datatypes::{DataType, Field};
 
 use crate::schema;
 
+/// The number type of a NumPy name, such as `float32`; `None` for another name.
+pub fn arrow_type(name: &str) -> Option<DataType> {
+    Some(match name {
+        "float16" => DataType::Float16,
+        "float32" => DataType::Float32,
+        "float64" => DataType::Float64,
+        "int8" => DataType::Int8,
+        "int16" => DataType::Int16,
+        "int32" => DataType::Int32,
+        "int64" => DataType::Int64,
+        "uint8" => DataType::UInt8,
+        "uint16" => DataType::UInt16,
+        "uint32" => DataType::UInt32,
+        "uint64" => DataType::UInt64,
+        _ => return None,
+    })
+}
+
 /// What a leaf of a space is, after Gymnasium's space types.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]

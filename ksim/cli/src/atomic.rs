@@ -4,6 +4,7 @@ use std::fs::{File, Permissions};
 use std::io::{self, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, bail};
 
@@ -13,9 +14,42 @@ static PUBLISHING: Mutex<()> = Mutex::new(());
 /// Exit code after Ctrl-C, as shells have it.
 const INTERRUPTED: i32 = 130;
 
+/// Whether the work in hand cleans up by itself when it sees [`is_interrupted`].
+static COOPERATIVE: AtomicBool = AtomicBool::new(false);
+static INTERRUPT: AtomicBool = AtomicBool::new(false);
+
+/// Work that looks at [`is_interrupted`] and ends by itself while this lives. A second Ctrl-C does not wait.
+pub(crate) struct Cooperative;
+
+impl Cooperative {
+    /// From now on.
+    pub(crate) fn begin() -> Self {
+        COOPERATIVE.store(true, Ordering::SeqCst);
+        Self
+    }
+}
+
+impl Drop for Cooperative {
+    fn drop(&mut self) {
+        COOPERATIVE.store(false, Ordering::SeqCst);
+        if is_interrupted() {
+            // The work finished all the same or has cleaned up; the wish to stop stands.
+            std::process::exit(INTERRUPTED);
+        }
+    }
+}
+
+/// Whether Ctrl-C was pressed.
+pub(crate) fn is_interrupted() -> bool {
+    INTERRUPT.load(Ordering::SeqCst)
+}
+
 /// Makes Ctrl-C and SIGTERM wait for a file that is just being put in place, then exit.
 pub(crate) fn leave_nothing_behind_on_interrupt() -> Result<()> {
     ctrlc::set_handler(|| {
+        if !INTERRUPT.swap(true, Ordering::SeqCst) && COOPERATIVE.load(Ordering::SeqCst) {
+            return;
+        }
         let _publishing = PUBLISHING.lock();
         std::process::exit(INTERRUPTED);
     })

@@ -101,6 +101,12 @@ impl Progress {
     pub(crate) fn set(&self, done: u64) {
         self.0.set_position(done);
     }
+
+    /// So many of that many are done.
+    pub(crate) fn set_of(&self, done: u64, of: u64) {
+        self.0.set_length(of);
+        self.0.set_position(done);
+    }
 }
 
 impl Drop for Progress {

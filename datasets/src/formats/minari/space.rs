@@ -5,7 +5,7 @@ use std::cmp::Ordering;
 use arrow::datatypes::DataType;
 use serde_json::Value;
 
-use crate::spec::LeafKind;
+use crate::spec::{LeafKind, arrow_type};
 
 /// Shortest side of a picture that Minari encodes.
 const MIN_PICTURE_SIDE: u64 = 32;
@@ -105,21 +105,10 @@ impl Space {
 
 /// The column type of a NumPy type.
 fn data_type(numpy: &str) -> Option<DataType> {
-    Some(match numpy {
-        "int8" => DataType::Int8,
-        "int16" => DataType::Int16,
-        "int32" => DataType::Int32,
-        "int64" => DataType::Int64,
-        "uint8" => DataType::UInt8,
-        "uint16" => DataType::UInt16,
-        "uint32" => DataType::UInt32,
-        "uint64" => DataType::UInt64,
-        "float16" => DataType::Float16,
-        "float32" => DataType::Float32,
-        "float64" => DataType::Float64,
-        "bool" => DataType::Boolean,
-        _ => return None,
-    })
+    match numpy {
+        "bool" => Some(DataType::Boolean),
+        number => arrow_type(number),
+    }
 }
 
 /// `3` for `_index_3`.

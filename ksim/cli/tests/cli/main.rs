@@ -1,5 +1,6 @@
 //! The command at its border: exit codes, stdout and stderr, files.
 
+mod convert;
 mod faults;
 #[cfg(feature = "hdf5")]
 mod golden;

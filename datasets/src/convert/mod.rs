@@ -1,0 +1,230 @@
+//! From one format to another.
+//!
+//! [`convert`] streams a dataset through a selection and a sink, in the memory of one batch and what the two
+//! formats need, and reports everything that the result does not hold as the source did.
+
+mod cast;
+mod select;
+mod space;
+
+use std::ops::{ControlFlow, Range};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use arrow::array::{AsArray, RecordBatch};
+use arrow::datatypes::{Int64Type, Schema, SchemaRef};
+
+pub use cast::{Cast, CastReport};
+
+use crate::episode::{EpisodeRecord, column, records_json};
+use crate::error::{DatasetError, Result};
+use crate::format::{Format, detect};
+use crate::schema;
+use crate::sink::{Loss, SinkInput, WriteOptions, create};
+use crate::source::{DatasetInfo, DatasetSource, Scan};
+use cast::Casts;
+
+/// What to convert, and how.
+#[derive(Debug, Clone)]
+pub struct ConvertOptions {
+    /// The format to write.
+    pub format: Format,
+    /// Ranges of episode numbers to keep, in the source's order; `None` keeps all.
+    pub episodes: Option<Vec<Range<i64>>>,
+    /// Columns to keep, or roots of several (`observation`, `info.goal`); `None` keeps all. The episode and
+    /// step numbers are always kept.
+    pub columns: Option<Vec<String>>,
+    /// Value types to change.
+    pub casts: Vec<Cast>,
+    /// Replace a dataset that is already at the destination.
+    pub overwrite: bool,
+    /// What the format leaves open.
+    pub write: WriteOptions,
+}
+
+impl ConvertOptions {
+    /// Everything, as it is.
+    pub fn new(format: Format) -> Self {
+        Self {
+            format,
+            episodes: None,
+            columns: None,
+            casts: Vec::new(),
+            overwrite: false,
+            write: WriteOptions::default(),
+        }
+    }
+}
+
+/// What a conversion did.
+#[derive(Debug, Clone)]
+pub struct ConvertReport {
+    /// The source, after reading: its warnings are part of the report.
+    pub source: DatasetInfo,
+    /// The result, as its own reader describes it.
+    pub written: DatasetInfo,
+    /// Episodes handed to the sink.
+    pub n_episodes: u64,
+    /// Steps handed to the sink.
+    pub n_steps: u64,
+    /// Rows handed to the sink: steps and final observations.
+    pub n_rows: u64,
+    /// Columns of the source that were not asked for.
+    pub left_out: Vec<String>,
+    /// Columns whose value type was changed.
+    pub casts: Vec<CastReport>,
+    /// What the result does not hold as the source did.
+    pub losses: Vec<Loss>,
+}
+
+/// How far a conversion is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ConvertProgress {
+    /// Rows written.
+    pub rows: u64,
+    /// Rows there are.
+    pub of: u64,
+}
+
+/// Writes a dataset in another format. `on_progress` is called after every batch and can break off, which
+/// leaves nothing behind and gives [`DatasetError::Interrupted`].
+///
+/// # Errors
+/// A selection that fits nothing, a cast that would change a value to infinity or out of range, something
+/// already at the destination (unless `overwrite`), or those of source and sink. The destination is untouched
+/// then.
+pub fn convert(
+    source: &dyn DatasetSource,
+    target: &Path,
+    options: &ConvertOptions,
+    on_progress: &mut dyn FnMut(ConvertProgress) -> ControlFlow<()>,
+) -> Result<ConvertReport> {
+    let in_source = |error: DatasetError| error.in_file(&source.info().path);
+    let columns = options.columns.as_deref();
+    let selected = select::columns(&source.schema(), columns).map_err(in_source)?;
+    let all = source.episodes().map_err(in_source)?;
+    let episodes = select::episodes(all, options.episodes.as_deref()).map_err(in_source)?;
+    let casts = Casts::new(&selected.schema, &options.casts).map_err(in_source)?;
+    let casted = with_records(casts.schema(), &episodes, options.format);
+    let numbers = options
+        .episodes
+        .is_some()
+        .then(|| episodes.iter().map(|e| e.episode_index).collect());
+    let aside = Aside::make(target, options.overwrite).map_err(|e| e.in_file(target))?;
+
+    let input = SinkInput {
+        schema: &casted,
+        info: source.info(),
+        episodes: &episodes,
+    };
+    let mut sink = create(target, options.format, &input, &options.write)?;
+    let of: u64 = episodes.iter().map(|episode| episode.n_rows).sum();
+    let mut run = Run {
+        casts,
+        schema: casted,
+        rows: 0,
+    };
+    let scan = Scan {
+        columns: columns.map(|_| selected.names),
+        episodes: numbers,
+        ..Scan::default()
+    };
+    for batch in source.scan(&scan).map_err(in_source)? {
+        let batch = batch.map_err(|e| in_source(e.into()))?;
+        sink.write(&run.prepare(&batch).map_err(in_source)?)?;
+        let progress = ConvertProgress { rows: run.rows, of };
+        if on_progress(progress).is_break() {
+            return Err(DatasetError::Interrupted);
+        }
+    }
+    let written = sink.finish()?;
+    aside.discard();
+    Ok(ConvertReport {
+        source: source.info().clone(),
+        written: written.info,
+        n_episodes: episodes.len() as u64,
+        n_steps: episodes.iter().map(|episode| episode.length).sum(),
+        n_rows: run.rows,
+        left_out: selected.left_out,
+        casts: run.casts.into_reports(),
+        losses: written.losses,
+    })
+}
+
+/// The state of a conversion between batches.
+struct Run {
+    casts: Casts,
+    schema: SchemaRef,
+    rows: u64,
+}
+
+impl Run {
+    fn prepare(&mut self, batch: &RecordBatch) -> Result<RecordBatch> {
+        let episodes = column(batch, schema::EPISODE_INDEX)?.as_primitive::<Int64Type>();
+        let columns = self.casts.apply(batch, episodes.values(), self.rows)?;
+        self.rows += batch.num_rows() as u64;
+        RecordBatch::try_new(Arc::clone(&self.schema), columns)
+            .map_err(DatasetError::arrow("put columns together"))
+    }
+}
+
+/// The schema with what the source records of its episodes, for formats without a place for it.
+fn with_records(schema: &SchemaRef, episodes: &[EpisodeRecord], format: Format) -> SchemaRef {
+    let mut metadata = schema.metadata().clone();
+    metadata.remove(schema::EPISODE_RECORDS);
+    if matches!(format, Format::Parquet | Format::ArrowIpc) {
+        metadata
+            .extend(records_json(episodes).map(|json| (schema::EPISODE_RECORDS.to_owned(), json)));
+    }
+    Arc::new(Schema::new_with_metadata(schema.fields().clone(), metadata))
+}
+
+/// The dataset that is replaced, under another name until the new one is in its place.
+struct Aside {
+    target: PathBuf,
+    /// `None` if there is nothing to replace, or a file that the sink replaces itself.
+    moved: Option<PathBuf>,
+}
+
+impl Aside {
+    fn make(target: &Path, overwrite: bool) -> Result<Self> {
+        let mut aside = Self {
+            target: target.to_owned(),
+            moved: None,
+        };
+        let is_empty_folder =
+            std::fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none());
+        if target.symlink_metadata().is_err() || is_empty_folder {
+            return Ok(aside);
+        }
+        if !overwrite {
+            return Err(DatasetError::AlreadyExists);
+        }
+        if target.is_dir() {
+            // Only what is a dataset is ever removed.
+            detect(target)?;
+            let name = target.file_name().unwrap_or_default().to_string_lossy();
+            let to = target.with_file_name(format!(".{name}.{}.replaced", std::process::id()));
+            std::fs::rename(target, &to).map_err(|e| DatasetError::io("move aside", e))?;
+            aside.moved = Some(to);
+        }
+        Ok(aside)
+    }
+
+    /// The new dataset is there: the old one goes.
+    fn discard(mut self) {
+        if let Some(moved) = self.moved.take() {
+            // The name says what it is if this fails.
+            let _ = std::fs::remove_dir_all(moved);
+        }
+    }
+}
+
+impl Drop for Aside {
+    fn drop(&mut self) {
+        if let Some(moved) = &self.moved {
+            // As above.
+            let _ = std::fs::rename(moved, &self.target);
+        }
+    }
+}
