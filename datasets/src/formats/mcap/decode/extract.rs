@@ -6,12 +6,27 @@
 #[derive(Debug, Clone, Default)]
 pub struct Extracted {
     slots: Vec<Slot>,
+    /// How often repeated fields were met so far (Protobuf).
+    counters: Vec<usize>,
 }
 
 impl Extracted {
     /// The slots, in the order of the plan's paths.
     pub fn slots(&self) -> &[Slot] {
         &self.slots
+    }
+
+    /// Empties everything for the next message.
+    pub(super) fn start(
+        &mut self,
+        n_slots: usize,
+        n_counters: usize,
+    ) -> (&mut [Slot], &mut [usize]) {
+        self.slots.resize_with(n_slots, Slot::default);
+        self.slots.iter_mut().for_each(Slot::clear);
+        self.counters.clear();
+        self.counters.resize(n_counters, 0);
+        (&mut self.slots, &mut self.counters)
     }
 }
 
@@ -39,12 +54,14 @@ impl Slot {
     }
 
     /// The numbers: one, or as many as the array holds. Members of an array of structs (`joints[].velocity`)
-    /// are one for each element; where an element lacks the member, the number is NaN.
+    /// are one for each element; where an element lacks the member, the number is
+    /// NaN.
     pub fn numbers(&self) -> &[f64] {
         &self.numbers
     }
 
-    /// The texts: one, or as many as the array holds.
+    /// The texts: one, or as many as the array holds. Those of members of an array of structs are one for each
+    /// element; where a Protobuf element lacks the member, the text is empty.
     pub fn texts(&self) -> impl ExactSizeIterator<Item = &str> {
         (0..self.text_ends.len()).map(|i| {
             let start = i.checked_sub(1).and_then(|i| self.text_ends.get(i));
@@ -63,5 +80,73 @@ impl Slot {
     /// The time in ns since the epoch, or the duration in ns.
     pub fn time_ns(&self) -> Option<i64> {
         self.time_ns
+    }
+
+    /// Empties it, keeping its buffers.
+    pub(super) fn clear(&mut self) {
+        self.present = false;
+        self.numbers.clear();
+        self.text.clear();
+        self.text_ends.clear();
+        self.bytes.clear();
+        self.time_ns = None;
+    }
+
+    pub(super) fn mark_present(&mut self) {
+        self.present = true;
+    }
+
+    /// Makes room for that many numbers, which must be in the message.
+    pub(super) fn reserve_numbers(&mut self, n: usize) {
+        self.numbers.reserve(n);
+    }
+
+    pub(super) fn add_number(&mut self, value: f64) {
+        self.present = true;
+        self.numbers.push(value);
+    }
+
+    pub(super) fn add_text(&mut self, text: &str) {
+        self.present = true;
+        self.text.push_str(text);
+        self.text_ends.push(self.text.len());
+    }
+
+    pub(super) fn set_bytes(&mut self, bytes: &[u8]) {
+        self.present = true;
+        self.bytes.clear();
+        self.bytes.extend_from_slice(bytes);
+    }
+
+    /// Sets a time; `None` for one that was never set.
+    pub(super) fn set_time(&mut self, ns: Option<i64>) {
+        self.present = ns.is_some();
+        self.time_ns = ns;
+    }
+
+    /// How many values it has.
+    pub(super) fn len(&self) -> usize {
+        self.numbers.len().max(self.text_ends.len())
+    }
+
+    /// Drops the value at a place, with those after it, if there is one after that: a field given twice has the
+    /// last value.
+    pub(super) fn keep_last_from(&mut self, place: usize) {
+        if let Some(&last) = self.numbers.last()
+            && self.numbers.len() > place + 1
+        {
+            self.numbers.truncate(place);
+            self.numbers.push(last);
+        }
+        if self.text_ends.len() > place + 1 {
+            let end_of = |count: usize| {
+                let before = count.checked_sub(1).and_then(|i| self.text_ends.get(i));
+                before.copied().unwrap_or_default()
+            };
+            let (start, last) = (end_of(place), end_of(self.text_ends.len() - 1));
+            self.text.replace_range(start..last, "");
+            self.text_ends.truncate(place);
+            self.text_ends.push(self.text.len());
+        }
     }
 }
