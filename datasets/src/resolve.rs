@@ -1,7 +1,7 @@
 //! From a dataset's name to its place on disk.
 //!
-//! A name is, in this order: a **path** (it exists, starts with `.`, `/` or `~`, or ends in `.hdf5`, `.h5` or
-//! `.parquet`); a **Minari id** such as `D4RL/antmaze/large-play-v1`; a **D4RL name** such as
+//! A name is, in this order: a **path** (it exists, starts with `.`, `/` or `~`, or ends in `.hdf5`, `.h5`,
+//! `.parquet`, `.arrow`, `.feather`, `.mcap` or `.npz`); a **Minari id** such as `D4RL/antmaze/large-play-v1`; a **D4RL name** such as
 //! `hopper-medium-expert-v2`, looked for among D4RL's files first and in Minari then; a **short name** such as
 //! `antmaze-large-play`, taken as the newest version of the Minari dataset `D4RL/antmaze/large-play`.
 
@@ -121,7 +121,10 @@ fn is_path(name: &str) -> bool {
         || name == "."
         || name == ".."
         || name.starts_with(['/', '~'])
-        || matches!(suffix, Some("hdf5" | "h5" | "parquet"))
+        || matches!(
+            suffix,
+            Some("hdf5" | "h5" | "parquet" | "arrow" | "feather" | "mcap" | "npz")
+        )
 }
 
 fn path_on_disk(name: &str) -> Result<Resolved> {

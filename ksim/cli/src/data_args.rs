@@ -75,6 +75,9 @@ pub(crate) struct DatasetColumnArgs {
     /// The same for the dataset
     #[arg(long, value_name = "NAME")]
     dataset_step_column: Option<String>,
+    /// The mapping of the dataset, where it is an MCAP recording with another mapping than the rollouts'
+    #[arg(long, value_name = "FILE.toml")]
+    dataset_mapping: Option<PathBuf>,
 }
 
 fn policy_parser() -> impl clap::builder::TypedValueParser<Value = EpisodePolicy> {
@@ -118,6 +121,7 @@ impl DataArgs {
         }
         columns.episode = own.dataset_episode_column.or(columns.episode.take());
         columns.step = own.dataset_step_column.or(columns.step.take());
+        options.mapping = own.dataset_mapping.or(options.mapping);
         options
     }
 }
