@@ -6,13 +6,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use arrow::array::{
-    ArrayRef, BooleanArray, FixedSizeListArray, Float32Array, Int64Array, ListArray, RecordBatch,
-    StringArray,
+    ArrayRef, AsArray, BooleanArray, FixedSizeListArray, Float32Array, Int64Array, ListArray,
+    RecordBatch, StringArray,
 };
-use arrow::datatypes::{Float32Type, Float64Type};
+use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema};
 use ksim_datasets::{
-    ColumnNames, DatasetError, DatasetSource, EpisodeEnd, ObservationLayout, OpenOptions,
-    TransitionOptions, TransitionReader, conformance, open, summarize,
+    ColumnNames, DatasetError, DatasetSink, DatasetSource, EpisodeEnd, ObservationLayout,
+    OpenOptions, ParquetSink, Scan, TransitionOptions, TransitionReader, conformance, open, schema,
+    summarize,
 };
 use parquet::arrow::ArrowWriter;
 use proptest::prelude::*;
@@ -344,4 +345,57 @@ fn episodes_named_by_text_are_numbered_as_they_appear() {
         ),
         "{back:?}"
     );
+}
+
+#[test]
+fn row_groups_come_in_order_and_only_those_that_are_needed() {
+    const EPISODES: i64 = 120;
+    const STEPS: i64 = 1_000;
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("groups.parquet");
+    let schema = Arc::new(Schema::new(vec![
+        Field::new(schema::EPISODE_INDEX, DataType::Int64, false),
+        Field::new(schema::STEP_INDEX, DataType::Int64, false),
+        Field::new("observation", DataType::Int64, false),
+        Field::new("action", DataType::Int64, false),
+    ]));
+    let mut sink = ParquetSink::create(&path, Arc::clone(&schema)).unwrap();
+    for episode in 0..EPISODES {
+        let rows: ArrayRef = Arc::new(Int64Array::from_iter_values(
+            episode * STEPS..(episode + 1) * STEPS,
+        ));
+        let number = Arc::new(Int64Array::from_value(episode, 1_000));
+        let steps = Arc::new(Int64Array::from_iter_values(0..STEPS));
+        let columns: Vec<ArrayRef> = vec![number, steps, Arc::clone(&rows), rows];
+        sink.write(&RecordBatch::try_new(Arc::clone(&schema), columns).unwrap())
+            .unwrap();
+    }
+    Box::new(sink).finish().unwrap();
+    let source = open(&path, &OpenOptions::default()).unwrap();
+    let observations = |episodes: Option<Vec<i64>>| -> Vec<i64> {
+        let scan = Scan {
+            episodes,
+            batch_rows: 700,
+            ..Scan::default()
+        };
+        let mut values = Vec::new();
+        for batch in source.scan(&scan).unwrap() {
+            let batch = batch.unwrap();
+            values.extend_from_slice(batch["observation"].as_primitive::<Int64Type>().values());
+        }
+        values
+    };
+    let all: Vec<i64> = (0..EPISODES * STEPS).collect();
+    assert_eq!(observations(None), all);
+    let chosen = observations(Some(vec![119, 3]));
+    assert_eq!(chosen, [&all[3_000..4_000], &all[119_000..]].concat());
+
+    // A damaged group is not touched when another one is read, and not passed over when it is.
+    let mut bytes = std::fs::read(&path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 2_000].fill(0xFF);
+    std::fs::write(&path, bytes).unwrap();
+    assert_eq!(observations(Some(vec![3])), all[3_000..4_000]);
+    let damaged = source.scan(&Scan::default()).unwrap();
+    assert!(damaged.into_iter().any(|batch| batch.is_err()));
 }

@@ -1,5 +1,6 @@
 //! Parquet: the canonical layout, and any file with list or scalar columns.
 
+mod ahead;
 mod columns;
 mod read;
 mod rows;

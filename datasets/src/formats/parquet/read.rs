@@ -1,5 +1,6 @@
 //! Reading Parquet files in batches.
 
+use std::collections::HashSet;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,11 +12,13 @@ use arrow::datatypes::{DataType, Field, FieldRef, Schema, SchemaRef};
 use arrow::error::ArrowError;
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{
-    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader,
-    ParquetRecordBatchReaderBuilder,
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder,
 };
+use parquet::file::metadata::RowGroupMetaData;
+use parquet::file::statistics::Statistics;
 use serde_json::{Map, Value};
 
+use super::ahead::{Ahead, Selection};
 use super::columns::{ColumnNames, ColumnPlan, Conversion, FilePlan, Role};
 use super::rows::{
     EpisodeNames, EpisodeTracker, as_index, check_action, convert, first_width, with_width,
@@ -227,34 +230,61 @@ impl ParquetSource {
         };
         let columns: Vec<&ColumnPlan> = self.plan.iter().filter(is_read).collect();
         let roots = columns.iter().map(|column| column.source);
-        let mask = ProjectionMask::roots(self.metadata.parquet_schema(), roots);
-        let file = File::open(&self.path).map_err(|e| DatasetError::io("open", e))?;
-        let reader =
-            ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone())
-                .with_projection(mask)
-                .with_batch_size(scan.batch_rows.max(1))
-                .build()
-                .map_err(DatasetError::parquet("read rows"))?;
+        let selection = Selection {
+            path: self.path.clone(),
+            metadata: self.metadata.clone(),
+            mask: ProjectionMask::roots(self.metadata.parquet_schema(), roots),
+            batch_rows: scan.batch_rows.max(1),
+        };
+        let groups = self.groups_of(scan.episodes.as_deref());
         Ok(ParquetScan {
             source: self,
-            reader,
+            reader: Ahead::start(&selection, &groups),
             schema,
             columns,
-            episodes: scan.episodes.clone(),
+            episodes: (scan.episodes.as_ref()).map(|wanted| wanted.iter().copied().collect()),
             tracker: EpisodeTracker::default(),
             names: EpisodeNames::default(),
             null_action: None,
             failed: false,
         })
     }
+
+    /// The row groups that may hold rows of some episodes, by the statistics of the episode column.
+    fn groups_of(&self, episodes: Option<&[i64]>) -> Vec<usize> {
+        let groups = self.metadata.metadata().row_groups();
+        let mut is_number = |column: &&ColumnPlan| {
+            column.role == Role::Episode && column.conversion != Conversion::Name
+        };
+        let leaf = self.plan.iter().find(&mut is_number).and_then(|column| {
+            let descriptor = self.metadata.parquet_schema();
+            (0..descriptor.num_columns())
+                .find(|&leaf| descriptor.get_column_root_idx(leaf) == column.source)
+        });
+        let may_hold = |group: &RowGroupMetaData| {
+            let (Some(wanted), Some(leaf)) = (episodes, leaf) else {
+                return true;
+            };
+            let Some(Statistics::Int64(statistics)) = group.column(leaf).statistics() else {
+                return true;
+            };
+            match (statistics.min_opt(), statistics.max_opt()) {
+                (Some(min), Some(max)) => wanted.iter().any(|e| (min..=max).contains(&e)),
+                _ => true,
+            }
+        };
+        (0..groups.len())
+            .filter(|&group| may_hold(&groups[group]))
+            .collect()
+    }
 }
 
 struct ParquetScan<'a> {
     source: &'a ParquetSource,
-    reader: ParquetRecordBatchReader,
+    reader: Ahead,
     schema: SchemaRef,
     columns: Vec<&'a ColumnPlan>,
-    episodes: Option<Vec<i64>>,
+    episodes: Option<HashSet<i64>>,
     tracker: EpisodeTracker,
     names: EpisodeNames,
     null_action: Option<(i64, u64)>,
@@ -341,14 +371,12 @@ impl Iterator for ParquetScan<'_> {
 
     fn next(&mut self) -> Option<Self::Item> {
         while !self.failed {
-            let reader = &mut self.reader;
-            let batch = guard::decode(|| {
-                reader
-                    .next()
-                    .transpose()
-                    .map_err(DatasetError::arrow("read rows"))
+            let converted = self.reader.next()?.and_then(|(first_row, batch)| {
+                // Row groups without a wanted episode were passed over.
+                self.tracker.first_row = first_row;
+                self.convert(&batch)
             });
-            match batch.transpose()?.and_then(|batch| self.convert(&batch)) {
+            match converted {
                 Ok(batch) if batch.num_rows() == 0 && self.episodes.is_some() => {}
                 Ok(batch) => return Some(Ok(batch)),
                 Err(error) => {
