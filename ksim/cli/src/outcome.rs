@@ -11,6 +11,8 @@ pub(crate) enum CommandOutcome {
     Done,
     /// Done, but a reader repaired or left out data: exit code 3.
     DoneWithDataLoss,
+    /// Done, and found what it was to look for: exit code 1.
+    FaultsFound,
 }
 
 impl CommandOutcome {
@@ -32,6 +34,7 @@ impl From<CommandOutcome> for ExitCode {
         match outcome {
             CommandOutcome::Done => Self::SUCCESS,
             CommandOutcome::DoneWithDataLoss => Self::from(3),
+            CommandOutcome::FaultsFound => Self::FAILURE,
         }
     }
 }

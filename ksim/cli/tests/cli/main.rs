@@ -8,3 +8,4 @@ mod pairing;
 mod process;
 mod score;
 mod usage;
+mod validate;
