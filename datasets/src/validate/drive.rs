@@ -42,9 +42,12 @@ pub(super) struct Episode {
     pub(super) last_step: i64,
 }
 
+/// Makes a check where it applies.
+type Maker = fn(&Facts<'_>) -> Option<Box<dyn Check>>;
+
 /// The checks that apply.
 fn checks(facts: &Facts<'_>) -> Vec<Box<dyn Check>> {
-    let makers: [fn(&Facts<'_>) -> Option<Box<dyn Check>>; 10] = [
+    let makers: [Maker; 10] = [
         lengths::check,
         numbers::check,
         values::check,
