@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use crate::error::{DatasetError, Result};
 use crate::formats::d4rl::EpisodePolicy;
 use crate::formats::minari::{self, metadata::Metadata};
-use crate::formats::parquet::{self, ColumnNames};
+use crate::formats::parquet;
+use crate::formats::tabular::ColumnNames;
 use crate::formats::{hdf5_reading, ipc, lerobot, mcap_files, npz};
 use crate::source::DatasetSource;
 

@@ -10,8 +10,8 @@ use parquet::basic::{Compression, Encoding, ZstdLevel};
 use parquet::file::properties::{WriterProperties, WriterPropertiesBuilder};
 use parquet::schema::types::ColumnPath;
 
-use super::columns::ColumnNames;
 use crate::error::{DatasetError, Result};
+use crate::formats::tabular::ColumnNames;
 use crate::schema;
 use crate::sink::{DatasetSink, Written};
 use crate::staging::Staged;

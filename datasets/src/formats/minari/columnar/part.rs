@@ -13,7 +13,7 @@ use parquet::arrow::arrow_reader::{
 
 use crate::error::{DatasetError, Result};
 use crate::format::Format;
-use crate::formats::ipc::IpcFile;
+use crate::formats::ipc::{IpcFile, IpcRows};
 use crate::guard;
 
 /// A file whose footer was read.
@@ -71,13 +71,7 @@ impl Part {
     /// Parquet's reader cannot be set up.
     pub(super) fn read(self, columns: Vec<usize>, batch_rows: usize) -> Result<PartReader> {
         Ok(match self {
-            Self::Arrow(file) => PartReader::Arrow {
-                file,
-                columns,
-                batch_rows,
-                next: 0,
-                rest: None,
-            },
+            Self::Arrow(file) => PartReader::Arrow(IpcRows::new(file, columns, batch_rows)),
             Self::Parquet(file, metadata) => {
                 let mask = ProjectionMask::roots(metadata.parquet_schema(), columns);
                 let reader = guard::decode(|| {
@@ -95,15 +89,7 @@ impl Part {
 
 /// The batches of a file.
 pub(super) enum PartReader {
-    Arrow {
-        file: IpcFile,
-        columns: Vec<usize>,
-        batch_rows: usize,
-        /// Place of the record batch after `rest`.
-        next: usize,
-        /// What is left of a record batch that is longer than `batch_rows`.
-        rest: Option<RecordBatch>,
-    },
+    Arrow(IpcRows),
     Parquet(ParquetRecordBatchReader),
 }
 
@@ -112,6 +98,7 @@ impl Iterator for PartReader {
 
     fn next(&mut self) -> Option<Self::Item> {
         match self {
+            Self::Arrow(rows) => rows.next(),
             Self::Parquet(reader) => guard::decode(|| {
                 reader
                     .next()
@@ -119,34 +106,6 @@ impl Iterator for PartReader {
                     .map_err(DatasetError::arrow("read rows"))
             })
             .transpose(),
-            Self::Arrow {
-                file,
-                columns,
-                batch_rows,
-                next,
-                rest,
-            } => loop {
-                if let Some(batch) = rest.take() {
-                    let n = batch.num_rows().min(*batch_rows);
-                    if n < batch.num_rows() {
-                        *rest = Some(batch.slice(n, batch.num_rows() - n));
-                    }
-                    return Some(Ok(batch.slice(0, n)));
-                }
-                if *next >= file.n_batches() {
-                    return None;
-                }
-                let batch = file.read(*next, columns);
-                *next += 1;
-                match batch {
-                    Ok(batch) if batch.num_rows() == 0 => {}
-                    Ok(batch) => *rest = Some(batch),
-                    Err(error) => {
-                        *next = usize::MAX;
-                        return Some(Err(error));
-                    }
-                }
-            },
         }
     }
 }

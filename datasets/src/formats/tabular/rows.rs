@@ -1,4 +1,4 @@
-//! Checks and conversions of one batch of a Parquet file.
+//! Checks and conversions of one batch of a file.
 
 use std::collections::{HashMap, HashSet};
 

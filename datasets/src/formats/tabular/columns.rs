@@ -1,5 +1,6 @@
 //! Which column of a file plays which part.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use arrow::datatypes::{DataType, Field, FieldRef, Schema};
@@ -8,7 +9,7 @@ use crate::error::{DatasetError, Result};
 use crate::schema;
 use crate::source::Warning;
 
-/// Names of the columns of a Parquet file. Episode ids may be integers, or text: then episodes are numbered from
+/// Names of the columns of a Parquet or Arrow IPC file. Episode ids may be integers, or text: then episodes are numbered from
 /// 0 as they appear and the text is kept under `info`. What is left empty is detected by the usual names:
 /// `episode_index|episode_id|episode`, `step_index|step|frame_index|timestep`,
 /// `observation|observations|obs|state` or all of `observation.*`, `action|actions|act` or all of `action.*`,
@@ -128,6 +129,7 @@ impl FilePlan {
             schema::TRUNCATED,
         )?;
         planner.rest();
+        planner.check_names()?;
         Ok(Self {
             columns: planner.columns,
             warnings: planner.warnings,
@@ -295,6 +297,16 @@ impl Planner<'_> {
         });
     }
 
+    /// Columns are told apart by their names, in the file and in the canonical layout.
+    fn check_names(&self) -> Result<()> {
+        let file = self.file.fields().iter().map(|field| field.name());
+        let canonical = self.columns.iter().map(|column| column.field.name());
+        match first_twice(file).or_else(|| first_twice(canonical)) {
+            Some(name) => Err(DatasetError::corrupt(format!("two columns are \"{name}\""))),
+            None => Ok(()),
+        }
+    }
+
     /// Passes everything else on under `info`.
     fn rest(&mut self) {
         for source in 0..self.file.fields().len() {
@@ -347,6 +359,11 @@ impl ColumnPlan {
             ..self
         }
     }
+}
+
+fn first_twice<'n>(names: impl Iterator<Item = &'n String>) -> Option<&'n String> {
+    let mut seen = BTreeSet::new();
+    names.into_iter().find(|name| !seen.insert(*name))
 }
 
 fn is_text(data_type: &DataType) -> bool {

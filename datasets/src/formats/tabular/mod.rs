@@ -1,0 +1,13 @@
+//! Tables with columns of any names as the canonical layout: what Parquet and Arrow IPC files share.
+//!
+//! [`columns`] finds the part each column plays, [`table`] describes the result, [`scan`] converts batch after
+//! batch, with the checks of [`rows`].
+
+mod columns;
+mod rows;
+mod scan;
+mod table;
+
+pub use columns::ColumnNames;
+pub(crate) use scan::{TableReader, TableScan};
+pub(crate) use table::{FIRST_ROWS, Table};
