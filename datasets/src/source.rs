@@ -195,6 +195,13 @@ pub enum Warning {
     },
     /// The dataset has no description of its spaces: kinds are inferred from shapes.
     NoSpace,
+    /// Recorded next observations are not the observations of the next rows: both are kept.
+    NextObservationDiffers {
+        /// The column of the recorded ones.
+        column: String,
+        /// In how many episodes.
+        n_episodes: u64,
+    },
     /// Part of a damaged file could not be recovered.
     Lost {
         /// What is lost, and where.
@@ -250,6 +257,12 @@ impl fmt::Display for Warning {
             }
             Self::ColumnLeftOut { column, reason } => {
                 write!(f, "\"{column}\" is left out: {reason}")
+            }
+            Self::NextObservationDiffers { column, n_episodes } => {
+                write!(
+                    f,
+                    "in {n_episodes} episodes \"{column}\" is not the observation of the next row; it is kept"
+                )
             }
             Self::Lost { what } => write!(f, "lost: {what}"),
             Self::NoSpace => f.write_str("no space is recorded: kinds are inferred from shapes"),

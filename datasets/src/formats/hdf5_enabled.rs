@@ -31,8 +31,8 @@ pub(crate) fn open_robomimic(path: &Path, options: &OpenOptions) -> Result<Box<d
     robomimic::open(path, options)
 }
 
-/// Whether an HDF5 file is robomimic's: it has a group `data`. False if it cannot be opened: then the reader
-/// that is tried says what is wrong.
-pub(crate) fn is_robomimic(_path: &Path) -> bool {
-    false
+/// Whether an HDF5 file is robomimic's: it has a group `data` of demonstrations. False if it cannot be opened:
+/// then the reader that is tried says what is wrong.
+pub(crate) fn is_robomimic(path: &Path) -> bool {
+    robomimic::is_robomimic(path)
 }

@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow::array::RecordBatchReader;
-use arrow::datatypes::{DataType, Field, FieldRef, Schema, SchemaRef};
-use serde_json::Value;
+use arrow::datatypes::{DataType, SchemaRef};
 
 use super::cut::Cut;
 use super::plan::plan;
@@ -19,7 +18,7 @@ use crate::error::{DatasetError, Result};
 use crate::format::{Format, OpenOptions};
 use crate::formats::hdf5::{
     Array, ColumnSource, EpisodeRows, H5File, LeafBuilder, Piece, RowRule, StepColumn, StepScan,
-    StepTable,
+    StepTable, table_schema,
 };
 use crate::schema;
 use crate::source::{DatasetInfo, DatasetSource, Scan};
@@ -187,25 +186,6 @@ fn column(
         field: Arc::new(field),
         source,
     }
-}
-
-fn table_schema(columns: &[StepColumn], info: &DatasetInfo) -> SchemaRef {
-    let mut fields: Vec<FieldRef> = vec![
-        Arc::new(Field::new(schema::EPISODE_INDEX, DataType::Int64, false)),
-        Arc::new(Field::new(schema::STEP_INDEX, DataType::Int64, false)),
-    ];
-    fields.extend(columns.iter().map(|column| Arc::clone(&column.field)));
-    let text = |key: &str, value: String| (key.to_owned(), value);
-    let metadata = HashMap::from([
-        text(schema::VERSION_KEY, schema::VERSION.to_owned()),
-        text(schema::SOURCE_FORMAT, info.format.name().to_owned()),
-        text(schema::SOURCE_ID, info.id.clone()),
-        text(
-            schema::SOURCE_METADATA,
-            Value::Object(info.metadata.clone()).to_string(),
-        ),
-    ]);
-    Arc::new(Schema::new_with_metadata(fields, metadata))
 }
 
 impl DatasetSource for D4rlSource {

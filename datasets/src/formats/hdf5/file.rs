@@ -14,6 +14,10 @@ const CHUNK_CACHE_BYTES: usize = 16 << 20;
 const CHUNK_CACHE_SLOTS: usize = 12_421;
 /// Members listed of one group, at most: more than any dataset has episodes.
 const MAX_MEMBERS: usize = 10_000_000;
+/// Groups inside groups are listed this deep; hard links can make a group its own member.
+pub(crate) const MAX_DEPTH: usize = 16;
+/// Members of all groups of an episode, at most: hard links can make few groups look like many.
+const MAX_NESTED_MEMBERS: usize = 100_000;
 
 /// An open HDF5 file.
 pub(crate) struct H5File {
@@ -111,6 +115,46 @@ pub(crate) fn members(group: &hdf5::Group, key: &str) -> Result<Vec<Member>> {
         members.push(Member { name, kind });
     }
     Ok(members)
+}
+
+/// Paths, relative to a group, of all arrays in it and in its groups, in name order. Links that lead out of
+/// the file are refused, wherever they are.
+///
+/// # Errors
+/// Such a link, or a damaged group.
+pub(crate) fn array_paths(file: &H5File, root: &str) -> Result<Vec<String>> {
+    let mut arrays = Vec::new();
+    let mut open = vec![(String::new(), 0)];
+    let mut n_members = 0;
+    while let Some((parent, depth)) = open.pop() {
+        let path = if parent.is_empty() {
+            root.to_owned()
+        } else {
+            join(root, &parent)
+        };
+        let listed = members(&file.group(&path)?, &path)?;
+        n_members += listed.len();
+        if n_members > MAX_NESTED_MEMBERS {
+            return Err(nested_without_end(&path));
+        }
+        for member in listed {
+            let key = join(&parent, &member.name);
+            match member.kind {
+                MemberKind::Group if depth > MAX_DEPTH => {
+                    return Err(nested_without_end(&key));
+                }
+                MemberKind::Group => open.push((key, depth + 1)),
+                MemberKind::Array => arrays.push(key),
+            }
+        }
+    }
+    arrays.sort();
+    Ok(arrays)
+}
+
+/// The error for groups that contain themselves, by hard links, or nearly so.
+pub(crate) fn nested_without_end(key: &str) -> DatasetError {
+    DatasetError::corrupt(format!("group \"{key}\" is nested without end"))
 }
 
 /// `parent/name` without a leading slash.

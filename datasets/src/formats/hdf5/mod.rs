@@ -14,6 +14,10 @@ mod scan;
 pub(crate) use array::{Array, Element, open_contained};
 pub(crate) use attributes::{attributes, json_value};
 pub(crate) use builder::LeafBuilder;
-pub(crate) use file::{H5File, MemberKind, failed, join, members};
+pub(crate) use file::{
+    H5File, MAX_DEPTH, MemberKind, array_paths, failed, join, members, nested_without_end,
+};
 pub(crate) use pager::Piece;
-pub(crate) use scan::{ColumnSource, EpisodeRows, RowRule, StepColumn, StepScan, StepTable};
+pub(crate) use scan::{
+    ColumnSource, EpisodeRows, RowRule, StepColumn, StepScan, StepTable, table_schema,
+};

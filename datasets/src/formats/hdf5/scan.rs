@@ -1,18 +1,20 @@
-//! The batch loop of both HDF5 readers.
+//! The batch loop of the readers of arrays.
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
 use arrow::array::{ArrayRef, Int64Array, RecordBatch, RecordBatchOptions, RecordBatchReader};
-use arrow::datatypes::{FieldRef, SchemaRef};
+use arrow::datatypes::{DataType, Field, FieldRef, Schema, SchemaRef};
 use arrow::error::ArrowError;
+use serde_json::Value;
 
 use super::array::Element;
 use super::builder::LeafBuilder;
 use super::pager::{Pager, Piece};
 use crate::error::{DatasetError, Result};
 use crate::schema;
-use crate::source::Scan;
+use crate::source::{DatasetInfo, Scan};
 
 /// Which rows of an episode a column has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,6 +43,31 @@ pub(crate) struct ColumnSource {
     /// Values in a row.
     pub(crate) width: usize,
     pub(crate) rule: RowRule,
+}
+
+/// The schema of a table with these columns, after the index columns.
+pub(crate) fn table_schema(columns: &[StepColumn], info: &DatasetInfo) -> SchemaRef {
+    let mut fields: Vec<FieldRef> = vec![
+        Arc::new(Field::new(schema::EPISODE_INDEX, DataType::Int64, false)),
+        Arc::new(Field::new(schema::STEP_INDEX, DataType::Int64, false)),
+    ];
+    fields.extend(columns.iter().map(|column| Arc::clone(&column.field)));
+    let text = |key: &str, value: String| (key.to_owned(), value);
+    let mut metadata = HashMap::from([
+        text(schema::VERSION_KEY, schema::VERSION.to_owned()),
+        text(schema::SOURCE_FORMAT, info.format.name().to_owned()),
+        text(schema::SOURCE_ID, info.id.clone()),
+        text(
+            schema::SOURCE_METADATA,
+            Value::Object(info.metadata.clone()).to_string(),
+        ),
+    ]);
+    metadata.extend(
+        info.env_spec
+            .iter()
+            .map(|spec| text(schema::ENV_SPEC, spec.to_string())),
+    );
+    Arc::new(Schema::new_with_metadata(fields, metadata))
 }
 
 /// The rows of one episode.

@@ -15,6 +15,8 @@ use crate::guard;
 const MAGIC: &[u8; 6] = b"ARROW1";
 /// The magic and its padding at the start of a file.
 pub(super) const HEAD: u64 = 8;
+/// Where the first message starts, at the latest.
+const LARGEST_HEAD: u64 = 64;
 /// Length of the footer and the magic at the end.
 const TAIL: u64 = 10;
 /// Marks a message whose length follows; older writers leave it out.
@@ -63,7 +65,12 @@ impl Messages {
             ))
         };
         check_magic(file, size)?;
-        let (head, mut at) = next_message(file, HEAD, size)?.ok_or_else(no_schema)?;
+        let mut start = HEAD;
+        // Some writers pad the magic to more than its 8 bytes.
+        while start < LARGEST_HEAD && start + 8 <= size && read_at(file, start, 8)? == [0; 8] {
+            start += 8;
+        }
+        let (head, mut at) = next_message(file, start, size)?.ok_or_else(no_schema)?;
         let message = message(&head).ok_or_else(no_schema)?;
         let schema = message.header_as_schema().ok_or_else(no_schema)?;
         check_schema(schema)?;

@@ -8,16 +8,12 @@ use arrow::datatypes::{DataType, FieldRef};
 use super::space::{Space, key_order, tuple_index};
 use crate::error::{DatasetError, Result};
 use crate::formats::hdf5::{
-    Array, ColumnSource, Element, H5File, MemberKind, RowRule, StepColumn, join, members,
+    Array, ColumnSource, Element, H5File, MAX_DEPTH, MemberKind, RowRule, StepColumn, array_paths,
+    join, members, nested_without_end,
 };
 use crate::schema;
 use crate::source::Warning;
 use crate::spec::{LeafKind, LeafSpec};
-
-/// Nesting of observations, actions and infos, at most; hard links can make a group its own member.
-const MAX_DEPTH: usize = 16;
-/// Members of all groups of an episode, at most: hard links can make few groups look like many.
-const MAX_MEMBERS: usize = 100_000;
 
 /// The leaves of one episode.
 pub(super) struct Structure {
@@ -337,37 +333,6 @@ pub(super) fn episode_lengths(
 /// # Errors
 /// Such a link, or a damaged group.
 pub(super) fn check_members(file: &H5File, episode: &str) -> Result<BTreeSet<String>> {
-    let mut infos = BTreeSet::new();
-    let mut open = vec![(String::new(), 0)];
-    let mut n_members = 0;
-    while let Some((parent, depth)) = open.pop() {
-        let path = if parent.is_empty() {
-            episode.to_owned()
-        } else {
-            join(episode, &parent)
-        };
-        let listed = members(&file.group(&path)?, &path)?;
-        n_members += listed.len();
-        if n_members > MAX_MEMBERS {
-            return Err(nested_without_end(&path));
-        }
-        for member in listed {
-            let key = join(&parent, &member.name);
-            match member.kind {
-                MemberKind::Group if depth > MAX_DEPTH => {
-                    return Err(nested_without_end(&key));
-                }
-                MemberKind::Group => open.push((key, depth + 1)),
-                MemberKind::Array if key.starts_with("infos/") => {
-                    infos.insert(key);
-                }
-                MemberKind::Array => {}
-            }
-        }
-    }
-    Ok(infos)
-}
-
-fn nested_without_end(key: &str) -> DatasetError {
-    DatasetError::corrupt(format!("group \"{key}\" is nested without end"))
+    let arrays = array_paths(file, episode)?.into_iter();
+    Ok(arrays.filter(|key| key.starts_with("infos/")).collect())
 }
