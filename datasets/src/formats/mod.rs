@@ -6,6 +6,7 @@ pub(crate) mod lerobot;
 pub(crate) mod minari;
 pub(crate) mod npz;
 pub(crate) mod parquet;
+pub(crate) mod steps;
 pub(crate) mod tabular;
 
 #[cfg(feature = "hdf5")]

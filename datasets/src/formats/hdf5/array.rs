@@ -1,12 +1,12 @@
 //! One HDF5 dataset, checked before it is read.
 
-use arrow::datatypes::DataType;
 use hdf5::plist::dataset_create::{DatasetCreate, Layout};
 use hdf5::types::{FloatSize, IntSize, TypeDescriptor};
 use hdf5_metno as hdf5;
 
 use super::file::failed;
 use crate::error::{DatasetError, Result};
+use crate::formats::steps::{ArrayInfo, Element};
 
 /// How many times its file an array may declare to be. Deflate, the strongest filter in use, cannot
 /// shrink data by more than 1032; what declares more has no data behind it.
@@ -17,106 +17,6 @@ const ALWAYS_ALLOWED: u128 = 1 << 20;
 const MAX_CHUNK_BYTES: u128 = 1 << 30;
 /// Values in one row, at most (Arrow's list sizes are `i32`).
 const MAX_ROW_WIDTH: u128 = i32::MAX as u128;
-
-/// Type of one value of an array.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Element {
-    I8,
-    I16,
-    I32,
-    I64,
-    U8,
-    U16,
-    U32,
-    U64,
-    F16,
-    F32,
-    F64,
-    /// h5py's bool: an enum over `i8`. Read as `i8`, since damaged files hold other values than 0 and 1.
-    Bool,
-    /// Strings of variable length.
-    Text,
-    /// Variable-length runs of bytes: encoded pictures.
-    Bytes,
-}
-
-impl Element {
-    fn of(descriptor: &TypeDescriptor) -> Option<Self> {
-        Some(match descriptor {
-            TypeDescriptor::Integer(IntSize::U1) => Self::I8,
-            TypeDescriptor::Integer(IntSize::U2) => Self::I16,
-            TypeDescriptor::Integer(IntSize::U4) => Self::I32,
-            TypeDescriptor::Integer(IntSize::U8) => Self::I64,
-            TypeDescriptor::Unsigned(IntSize::U1) => Self::U8,
-            TypeDescriptor::Unsigned(IntSize::U2) => Self::U16,
-            TypeDescriptor::Unsigned(IntSize::U4) => Self::U32,
-            TypeDescriptor::Unsigned(IntSize::U8) => Self::U64,
-            TypeDescriptor::Float(FloatSize::U2) => Self::F16,
-            TypeDescriptor::Float(FloatSize::U4) => Self::F32,
-            TypeDescriptor::Float(FloatSize::U8) => Self::F64,
-            TypeDescriptor::Boolean => Self::Bool,
-            // Any other enum by its numbers.
-            TypeDescriptor::Enum(numbers) => Self::of(&numbers.base_type())?,
-            TypeDescriptor::VarLenUnicode | TypeDescriptor::VarLenAscii => Self::Text,
-            TypeDescriptor::VarLenArray(item)
-                if **item == TypeDescriptor::Unsigned(IntSize::U1) =>
-            {
-                Self::Bytes
-            }
-            _ => return None,
-        })
-    }
-
-    /// The Arrow type that holds it.
-    pub(crate) fn data_type(self) -> DataType {
-        match self {
-            Self::I8 => DataType::Int8,
-            Self::I16 => DataType::Int16,
-            Self::I32 => DataType::Int32,
-            Self::I64 => DataType::Int64,
-            Self::U8 => DataType::UInt8,
-            Self::U16 => DataType::UInt16,
-            Self::U32 => DataType::UInt32,
-            Self::U64 => DataType::UInt64,
-            Self::F16 => DataType::Float16,
-            Self::F32 => DataType::Float32,
-            Self::F64 => DataType::Float64,
-            Self::Bool => DataType::Boolean,
-            Self::Text => DataType::Utf8,
-            Self::Bytes => DataType::Binary,
-        }
-    }
-
-    /// Bytes of one value in memory.
-    fn size(self) -> u128 {
-        match self {
-            Self::I8 | Self::U8 | Self::Bool => 1,
-            Self::I16 | Self::U16 | Self::F16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::I64 | Self::U64 | Self::F64 | Self::Text => 8,
-            Self::Bytes => 16,
-        }
-    }
-
-    /// NumPy's name of the type in the file.
-    pub(crate) fn numpy_name(self) -> &'static str {
-        match self {
-            Self::I8 => "int8",
-            Self::I16 => "int16",
-            Self::I32 => "int32",
-            Self::I64 => "int64",
-            Self::U8 => "uint8",
-            Self::U16 => "uint16",
-            Self::U32 => "uint32",
-            Self::U64 => "uint64",
-            Self::F16 => "float16",
-            Self::F32 => "float32",
-            Self::F64 => "float64",
-            Self::Bool => "bool",
-            Self::Text | Self::Bytes => "object",
-        }
-    }
-}
 
 /// An open array whose rows can be read.
 #[derive(Debug)]
@@ -145,7 +45,7 @@ impl Array {
             actual: descriptor.to_string(),
             expected,
         };
-        let element = Element::of(&descriptor)
+        let element = element_of(&descriptor)
             .ok_or_else(|| wrong("numbers, flags, text or variable-length bytes"))?;
         let Some((&n_rows, row_shape)) = shape.split_first() else {
             return Err(not_an_array(key));
@@ -174,6 +74,16 @@ impl Array {
             .first()
             .map(|&n| n as u64)
             .ok_or_else(|| not_an_array(key))
+    }
+
+    /// What the file says about it.
+    pub(crate) fn info(&self) -> ArrayInfo {
+        ArrayInfo {
+            key: self.key.clone(),
+            element: self.element,
+            n_rows: self.n_rows,
+            row_shape: self.row_shape.clone(),
+        }
     }
 
     /// Path in the file.
@@ -263,6 +173,33 @@ impl Array {
             .into_raw_vec_and_offset();
         Ok(values)
     }
+}
+
+/// The type of values with this descriptor, if it can be read.
+fn element_of(descriptor: &TypeDescriptor) -> Option<Element> {
+    Some(match descriptor {
+        TypeDescriptor::Integer(IntSize::U1) => Element::I8,
+        TypeDescriptor::Integer(IntSize::U2) => Element::I16,
+        TypeDescriptor::Integer(IntSize::U4) => Element::I32,
+        TypeDescriptor::Integer(IntSize::U8) => Element::I64,
+        TypeDescriptor::Unsigned(IntSize::U1) => Element::U8,
+        TypeDescriptor::Unsigned(IntSize::U2) => Element::U16,
+        TypeDescriptor::Unsigned(IntSize::U4) => Element::U32,
+        TypeDescriptor::Unsigned(IntSize::U8) => Element::U64,
+        TypeDescriptor::Float(FloatSize::U2) => Element::F16,
+        TypeDescriptor::Float(FloatSize::U4) => Element::F32,
+        TypeDescriptor::Float(FloatSize::U8) => Element::F64,
+        TypeDescriptor::Boolean => Element::Bool,
+        // Any other enum by its numbers.
+        TypeDescriptor::Enum(numbers) => element_of(&numbers.base_type())?,
+        TypeDescriptor::VarLenUnicode | TypeDescriptor::VarLenAscii => Element::Text,
+        TypeDescriptor::VarLenArray(item)
+            if **item == TypeDescriptor::Unsigned(IntSize::U1) =>
+        {
+            Element::Bytes
+        }
+        _ => return None,
+    })
 }
 
 fn not_an_array(key: &str) -> DatasetError {

@@ -1,4 +1,4 @@
-//! What the HDF5 readers share: checked opening of files and arrays, typed reading, paging.
+//! What the HDF5 readers share: checked opening of files and arrays, typed reading.
 //!
 //! libhdf5 is C and these files come from strangers. So before it touches data: links out of the file,
 //! external and virtual storage are refused, filters are checked by number, and declared sizes are bounded
@@ -8,16 +8,14 @@ mod array;
 mod attributes;
 mod builder;
 mod file;
-mod pager;
-mod scan;
 
-pub(crate) use array::{Array, Element, open_contained};
+pub(crate) use array::{Array, open_contained};
 pub(crate) use attributes::{attributes, json_value};
-pub(crate) use builder::LeafBuilder;
 pub(crate) use file::{
     H5File, MAX_DEPTH, MemberKind, array_paths, failed, join, members, nested_without_end,
 };
-pub(crate) use pager::Piece;
-pub(crate) use scan::{
-    ColumnSource, EpisodeRows, RowRule, StepColumn, StepScan, StepTable, table_schema,
+
+pub(crate) use crate::formats::steps::{
+    ColumnSource, Element, EpisodeRows, LeafBuilder, Piece, RowRule, StepColumn, StepScan,
+    StepTable, table_schema,
 };

@@ -21,6 +21,7 @@ pub(super) const NEXT_OBS: &str = "next_obs/";
 const ACTIONS: &str = "actions";
 const REWARDS: &str = "rewards";
 const DONES: &str = "dones";
+const STATES: &str = "states";
 /// Bytes compared at a time.
 const BYTES_AT_ONCE: usize = 8 << 20;
 
@@ -134,8 +135,13 @@ impl Demos {
             if !paths.iter().any(|path| path.starts_with(OBS)) {
                 return Err(missing("obs"));
             }
-            check_lengths(file, group, &paths, n_steps)?;
-            self.structure(file, group, &paths)?;
+            check_lengths(
+                file,
+                group,
+                paths.iter().filter(|path| has_steps(path)),
+                n_steps,
+            )?;
+            self.structure(file, group, &paths, n_steps)?;
         }
         if let Some(key) = self
             .keys
@@ -175,7 +181,13 @@ impl Demos {
     }
 
     /// The columns, as the first demonstration has them; next observations are decided on at the end.
-    fn structure(&mut self, file: &H5File, group: &str, paths: &BTreeSet<String>) -> Result<()> {
+    fn structure(
+        &mut self,
+        file: &H5File,
+        group: &str,
+        paths: &BTreeSet<String>,
+        n_steps: u64,
+    ) -> Result<()> {
         let (mut columns, mut keys) = (Vec::new(), BTreeSet::new());
         let mut others = Vec::new();
         for path in paths {
@@ -200,6 +212,10 @@ impl Demos {
                 }
                 column => column?,
             };
+            if Array::length(file.root(), &join(group, path))? != n_steps {
+                self.left_out(path.clone(), "it does not have one row per step");
+                continue;
+            }
             keys.insert(path.clone());
             if is_info { &mut others } else { &mut columns }.push(column);
         }
@@ -265,6 +281,13 @@ impl Demos {
         }
         self
     }
+}
+
+/// Whether an array must have a row per step, in any file.
+fn has_steps(path: &str) -> bool {
+    path.starts_with(OBS)
+        || path.starts_with(NEXT_OBS)
+        || [ACTIONS, REWARDS, DONES, STATES].contains(&path)
 }
 
 /// `root.a.b` for `a/b`.

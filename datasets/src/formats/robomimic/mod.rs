@@ -15,6 +15,8 @@
 
 mod demos;
 mod read;
+#[cfg(test)]
+mod tests;
 
 pub(crate) use demos::is_robomimic;
 pub(crate) use read::open;

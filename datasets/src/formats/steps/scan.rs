@@ -9,7 +9,7 @@ use arrow::datatypes::{DataType, Field, FieldRef, Schema, SchemaRef};
 use arrow::error::ArrowError;
 use serde_json::Value;
 
-use super::array::Element;
+use super::element::Element;
 use super::builder::LeafBuilder;
 use super::pager::{Pager, Piece};
 use crate::error::{DatasetError, Result};
@@ -95,6 +95,20 @@ pub(crate) trait StepTable: Send + Sync {
     fn append(&self, pieces: &[Piece], column: &ColumnSource, to: &mut LeafBuilder) -> Result<()>;
 }
 
+impl<T: StepTable> StepTable for &T {
+    fn path(&self) -> &Path {
+        (**self).path()
+    }
+
+    fn episode(&self, place: usize) -> Option<Result<EpisodeRows>> {
+        (**self).episode(place)
+    }
+
+    fn append(&self, pieces: &[Piece], column: &ColumnSource, to: &mut LeafBuilder) -> Result<()> {
+        (**self).append(pieces, column, to)
+    }
+}
+
 impl Piece {
     /// How many rows of the piece lie before `end`, and how many do not.
     pub(crate) fn split_at(&self, end: u64) -> (usize, usize) {
@@ -106,8 +120,8 @@ impl Piece {
 }
 
 /// A pass over a table.
-pub(crate) struct StepScan<'a, T> {
-    table: &'a T,
+pub(crate) struct StepScan<T> {
+    table: T,
     schema: SchemaRef,
     columns: Vec<Option<StepColumn>>,
     episodes: Option<Vec<i64>>,
@@ -115,13 +129,13 @@ pub(crate) struct StepScan<'a, T> {
     failed: bool,
 }
 
-impl<'a, T: StepTable> StepScan<'a, T> {
+impl<T: StepTable> StepScan<T> {
     /// Starts a pass over the columns of `columns` that `scan` asks for.
     ///
     /// # Errors
     /// A column that is not in `schema`.
     pub(crate) fn new(
-        table: &'a T,
+        table: T,
         schema: &SchemaRef,
         columns: &[StepColumn],
         scan: &Scan,
@@ -217,7 +231,7 @@ impl<'a, T: StepTable> StepScan<'a, T> {
     }
 }
 
-impl<T: StepTable> Iterator for StepScan<'_, T> {
+impl<T: StepTable> Iterator for StepScan<T> {
     type Item = Result<RecordBatch, ArrowError>;
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -232,7 +246,7 @@ impl<T: StepTable> Iterator for StepScan<'_, T> {
     }
 }
 
-impl<T: StepTable> RecordBatchReader for StepScan<'_, T> {
+impl<T: StepTable> RecordBatchReader for StepScan<T> {
     fn schema(&self) -> SchemaRef {
         Arc::clone(&self.schema)
     }
