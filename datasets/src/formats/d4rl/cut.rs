@@ -1,10 +1,5 @@
 //! Cutting a stream of row flags into episodes: pure logic, no files.
 
-#![cfg_attr(
-    not(feature = "hdf5"),
-    allow(dead_code, reason = "used by the HDF5 reader, tested always")
-)]
-
 use super::policy::EpisodePolicy;
 use crate::episode::EpisodeEnd;
 use crate::error::{DatasetError, Result};

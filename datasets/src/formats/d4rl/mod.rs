@@ -3,11 +3,11 @@
 //! Reading goes in three steps: [`walk`] lists and checks the arrays of the file, [`plan`] cuts the rows into
 //! episodes, [`read`] delivers batches.
 
-mod cut;
+pub(in crate::formats) mod cut;
+pub(in crate::formats) mod flat;
+pub(in crate::formats) mod plan;
 mod policy;
 
-#[cfg(feature = "hdf5")]
-mod plan;
 #[cfg(feature = "hdf5")]
 mod read;
 #[cfg(feature = "hdf5")]

@@ -4,11 +4,11 @@ use arrow::array::{ArrayRef, AsArray, BooleanArray};
 use arrow::datatypes::{DataType, Field, Float64Type};
 
 use super::cut::{Cut, Cutter, RowFlags};
+use super::flat::{FlatArrays, FlatRows, GOAL, OBSERVATIONS, TERMINALS, TIMEOUTS, missing};
 use super::policy::EpisodePolicy;
-use super::walk::{GOAL, OBSERVATIONS, TERMINALS, TIMEOUTS, Walked};
 use crate::error::{DatasetError, Result};
 use crate::format::OpenOptions;
-use crate::formats::hdf5::{Array, LeafBuilder};
+use crate::formats::steps::{ArrayInfo, LeafBuilder};
 use crate::source::Warning;
 
 /// Rows of flags read at a time.
@@ -17,25 +17,26 @@ const ROWS_AT_ONCE: u64 = 65_536;
 const JUMP: f64 = 1.0;
 
 /// The episodes and how they came about.
-pub(super) struct Plan {
-    pub(super) policy: EpisodePolicy,
-    pub(super) cuts: Vec<Cut>,
-    pub(super) rule: String,
-    pub(super) inferred: bool,
-    pub(super) warnings: Vec<Warning>,
+pub(crate) struct Plan {
+    pub(crate) policy: EpisodePolicy,
+    pub(crate) cuts: Vec<Cut>,
+    pub(crate) rule: String,
+    pub(crate) inferred: bool,
+    pub(crate) warnings: Vec<Warning>,
 }
 
 /// Reads the flags once, in parts, and cuts.
 ///
 /// # Errors
 /// What the policy needs is not there, a NaN flag, or a failed read.
-pub(super) fn plan(walked: &Walked, file_name: &str, options: &OpenOptions) -> Result<Plan> {
+pub(crate) fn plan(file: &dyn FlatArrays, file_name: &str, options: &OpenOptions) -> Result<Plan> {
+    let infos = file.infos();
     let (by_name, warning) = EpisodePolicy::default_for(file_name);
     let (policy, mut warnings) = match options.episode_policy {
         Some(policy) => (policy, Vec::new()),
         None => (by_name, warning.into_iter().collect()),
     };
-    let timeouts = walked.find(TIMEOUTS);
+    let timeouts = infos.iter().find(|array| array.key == TIMEOUTS);
     let uses_timeouts = !matches!(
         policy,
         EpisodePolicy::GoalChange | EpisodePolicy::PositionJump
@@ -52,8 +53,8 @@ pub(super) fn plan(walked: &Walked, file_name: &str, options: &OpenOptions) -> R
         warnings.push(Warning::NoEpisodeEnds { instead });
     }
     let mut cutter = Cutter::new(policy, timeouts.is_some(), limit, options.terminate_on_end)?;
-    let mover = Mover::new(walked, policy)?;
-    read_flags(walked, timeouts, mover, &mut cutter)?;
+    let mover = Mover::new(file, policy)?;
+    read_flags(file, timeouts.is_some(), mover, &mut cutter)?;
     let by_counter = timeouts.is_none() && limit.is_some() && uses_timeouts;
     Ok(Plan {
         policy,
@@ -74,17 +75,23 @@ fn rule(policy: EpisodePolicy, by_counter: bool) -> String {
 }
 
 fn read_flags(
-    walked: &Walked,
-    timeouts: Option<&Array>,
+    file: &dyn FlatArrays,
+    has_timeouts: bool,
     mut mover: Option<Mover<'_>>,
     cutter: &mut Cutter,
 ) -> Result<()> {
-    let terminals = walked.required(TERMINALS)?;
+    let mut terminals = Column::new(file, TERMINALS)?;
+    let mut timeouts = has_timeouts
+        .then(|| Column::new(file, TIMEOUTS))
+        .transpose()?;
     let mut start = 0;
-    while start < walked.n_rows {
-        let n = usize::try_from(ROWS_AT_ONCE.min(walked.n_rows - start)).unwrap_or(0);
-        let terminal = flags(terminals, start, n)?;
-        let timeout = timeouts.map(|array| flags(array, start, n)).transpose()?;
+    while start < file.n_rows() {
+        let n = usize::try_from(ROWS_AT_ONCE.min(file.n_rows() - start)).unwrap_or(0);
+        let terminal = terminals.flags(start, n)?;
+        let timeout = timeouts
+            .as_mut()
+            .map(|timeouts| timeouts.flags(start, n))
+            .transpose()?;
         let moved = mover
             .as_mut()
             .map(|mover| mover.read(start, n))
@@ -101,60 +108,85 @@ fn read_flags(
     Ok(())
 }
 
-fn read(array: &Array, field: &Field, start: u64, n: usize) -> Result<ArrayRef> {
-    let mut builder = LeafBuilder::new(array.element(), array.width(), n);
-    builder.append(array, start, n)?;
-    builder.finish(field).map_err(|error| match error {
-        DatasetError::NanFlag { column, row } => DatasetError::NanFlag {
-            column,
-            row: row + start,
-        },
-        other => other,
-    })
+/// An array that is read in parts.
+pub(crate) struct Column<'a> {
+    info: ArrayInfo,
+    rows: Box<dyn FlatRows + 'a>,
 }
 
-fn flags(array: &Array, start: u64, n: usize) -> Result<BooleanArray> {
-    let field = Field::new(array.key(), DataType::Boolean, true);
-    Ok(read(array, &field, start, n)?.as_boolean().clone())
+impl<'a> Column<'a> {
+    /// Starts to read an array.
+    ///
+    /// # Errors
+    /// It is not there.
+    pub(crate) fn new(file: &'a dyn FlatArrays, key: &str) -> Result<Self> {
+        let infos = file.infos();
+        let info = infos.iter().find(|array| array.key == key);
+        let missing = || missing(key, infos.iter().map(|array| array.key.as_str()));
+        Ok(Self {
+            info: info.cloned().ok_or_else(missing)?,
+            rows: file.rows(key)?,
+        })
+    }
+
+    fn read(&mut self, field: &Field, start: u64, n: usize) -> Result<ArrayRef> {
+        let mut builder = LeafBuilder::new(self.info.element, self.info.width(), n);
+        self.rows.append(start, n, &mut builder)?;
+        builder.finish(field).map_err(|error| match error {
+            DatasetError::NanFlag { column, row } => DatasetError::NanFlag {
+                column,
+                row: row + start,
+            },
+            other => other,
+        })
+    }
+
+    /// Rows `start..start + n` as flags.
+    ///
+    /// # Errors
+    /// They cannot be read, or one is NaN.
+    pub(crate) fn flags(&mut self, start: u64, n: usize) -> Result<BooleanArray> {
+        let field = Field::new(&self.info.key, DataType::Boolean, true);
+        Ok(self.read(&field, start, n)?.as_boolean().clone())
+    }
 }
 
 /// Sees where the goal or the position moved.
 struct Mover<'a> {
-    array: &'a Array,
+    column: Column<'a>,
     jump: bool,
     before: Vec<f64>,
 }
 
 impl<'a> Mover<'a> {
-    fn new(walked: &'a Walked, policy: EpisodePolicy) -> Result<Option<Self>> {
+    fn new(file: &'a dyn FlatArrays, policy: EpisodePolicy) -> Result<Option<Self>> {
         let needs = |needs| DatasetError::PolicyNeeds {
             policy: policy.name(),
             needs,
         };
-        let (array, jump) = match policy {
-            EpisodePolicy::GoalChange => (
-                walked
-                    .find(GOAL)
-                    .ok_or_else(|| needs("the key \"infos/goal\""))?,
-                false,
-            ),
-            EpisodePolicy::PositionJump => (walked.required(OBSERVATIONS)?, true),
+        let (column, jump) = match policy {
+            EpisodePolicy::GoalChange => {
+                let goal = Column::new(file, GOAL);
+                (goal.map_err(|_| needs("the key \"infos/goal\""))?, false)
+            }
+            EpisodePolicy::PositionJump => (Column::new(file, OBSERVATIONS)?, true),
             _ => return Ok(None),
         };
-        if jump && array.width() < 2 {
+        if jump && column.info.width() < 2 {
             return Err(needs("observations that start with x and y"));
         }
         Ok(Some(Self {
-            array,
+            column,
             jump,
             before: Vec::new(),
         }))
     }
 
     fn read(&mut self, start: u64, n: usize) -> Result<Vec<bool>> {
-        let width = self.array.width();
-        let flat = Field::new(self.array.key(), self.array.element().data_type(), false);
-        let values = read(self.array, &flat, start, n)?;
+        let width = self.column.info.width();
+        let info = &self.column.info;
+        let flat = Field::new(&info.key, info.element.data_type(), false);
+        let values = self.column.read(&flat, start, n)?;
         let values = arrow::compute::cast(&values, &DataType::Float64)
             .map_err(DatasetError::arrow("compare positions"))?;
         let values = values.as_primitive::<Float64Type>();

@@ -1,23 +1,20 @@
 //! Delivering a D4RL file in batches.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow::array::RecordBatchReader;
-use arrow::datatypes::{DataType, SchemaRef};
+use arrow::datatypes::SchemaRef;
 
 use super::cut::Cut;
+use super::flat::{FlatArrays, columns};
 use super::plan::plan;
-use super::policy::EpisodePolicy;
-use super::walk::{
-    ACTIONS, INFOS, NEXT_OBSERVATIONS, OBSERVATIONS, REWARDS, TERMINALS, TIMEOUTS, Walked, walk,
-};
+use super::walk::{Walked, walk};
 use crate::episode::EpisodeRecord;
 use crate::error::{DatasetError, Result};
 use crate::format::{Format, OpenOptions};
 use crate::formats::hdf5::{
-    Array, ColumnSource, EpisodeRows, H5File, LeafBuilder, Piece, RowRule, StepColumn, StepScan,
+    ColumnSource, EpisodeRows, H5File, LeafBuilder, Piece, RowRule, StepColumn, StepScan,
     StepTable, table_schema,
 };
 use crate::schema;
@@ -47,7 +44,7 @@ impl D4rlSource {
             .map(|name| name.to_string_lossy().into_owned())
             .unwrap_or_default();
         let plan = plan(&walked, &file_name, options)?;
-        let columns = columns(&walked, plan.policy);
+        let columns = columns(&walked.infos(), plan.policy);
         let mut info = DatasetInfo::new(
             path.file_stem()
                 .map(|stem| stem.to_string_lossy().into_owned())
@@ -79,112 +76,6 @@ impl D4rlSource {
             schema,
             info,
         })
-    }
-}
-
-/// The columns of the step table, canonical order.
-fn columns(walked: &Walked, policy: EpisodePolicy) -> Vec<StepColumn> {
-    let mut columns = Vec::new();
-    let mut add = |key: &str, name: &str, rule: RowRule, role: Role| {
-        if let Some(array) = walked.find(key) {
-            columns.push(column(array, name, rule, role, policy));
-        }
-    };
-    add(
-        OBSERVATIONS,
-        schema::OBSERVATION,
-        RowRule::Observation,
-        Role::Values,
-    );
-    add(ACTIONS, schema::ACTION, RowRule::Step, Role::Values);
-    add(REWARDS, schema::REWARD, RowRule::Step, Role::Values);
-    add(TERMINALS, schema::TERMINATED, RowRule::Step, Role::Flag);
-    add(TIMEOUTS, schema::TRUNCATED, RowRule::Step, Role::Flag);
-    add(
-        NEXT_OBSERVATIONS,
-        schema::NEXT_OBSERVATION,
-        RowRule::Step,
-        Role::Other,
-    );
-    let known = [
-        OBSERVATIONS,
-        ACTIONS,
-        REWARDS,
-        TERMINALS,
-        TIMEOUTS,
-        NEXT_OBSERVATIONS,
-    ];
-    for array in walked
-        .arrays
-        .iter()
-        .filter(|array| !known.contains(&array.key()))
-    {
-        add(
-            array.key(),
-            &info_name(array.key()),
-            RowRule::Step,
-            Role::Other,
-        );
-    }
-    columns
-}
-
-/// `info` for the dataset `infos`, `info.a.b` for `infos/a/b` and for any other key.
-fn info_name(key: &str) -> String {
-    let inside = match key.strip_prefix(INFOS) {
-        Some("") => return schema::INFO.to_owned(),
-        Some(rest) if rest.starts_with('/') => &rest[1..],
-        _ => key,
-    };
-    inside
-        .split('/')
-        .fold(schema::INFO.to_owned(), |parent, part| {
-            schema::join_key(&parent, part)
-        })
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Role {
-    /// Observation, action, reward: what `qlearning_dataset` casts to `float32`.
-    Values,
-    Flag,
-    Other,
-}
-
-fn column(
-    array: &Array,
-    name: &str,
-    rule: RowRule,
-    role: Role,
-    policy: EpisodePolicy,
-) -> StepColumn {
-    let element = array.element();
-    let nullable = rule != RowRule::Observation;
-    // D4RL's loader squeezes (N, 1) rewards and flags.
-    let squeezed = matches!(
-        name,
-        schema::REWARD | schema::TERMINATED | schema::TRUNCATED
-    );
-    let shape: &[usize] = if squeezed { &[] } else { array.row_shape() };
-    let data_type = match role {
-        Role::Flag => DataType::Boolean,
-        Role::Values if policy == EpisodePolicy::D4rlQlearning => DataType::Float32,
-        _ => element.data_type(),
-    };
-    let mut field = schema::leaf_field(name, data_type, shape, nullable);
-    if *field.data_type() != element.data_type() && shape.is_empty() {
-        let dtype = element.numpy_name().to_owned();
-        field = field.with_metadata(HashMap::from([(schema::SOURCE_DTYPE.to_owned(), dtype)]));
-    }
-    let source = ColumnSource {
-        key: array.key().to_owned(),
-        element,
-        width: array.width(),
-        rule,
-    };
-    StepColumn {
-        field: Arc::new(field),
-        source,
     }
 }
 

@@ -2,26 +2,18 @@
 
 use serde_json::{Map, Value, json};
 
+use super::flat::{FlatArrays, FlatRows, OBSERVATIONS, REQUIRED, check, is_known, missing};
 use crate::error::{DatasetError, Result};
 use crate::formats::hdf5::{
-    Array, H5File, MemberKind, failed, join, json_value, members, open_contained,
+    Array, H5File, LeafBuilder, MAX_DEPTH, MemberKind, failed, join, json_value, members,
+    open_contained,
 };
+use crate::formats::steps::ArrayInfo;
 use crate::source::Warning;
 
-pub(super) const OBSERVATIONS: &str = "observations";
-pub(super) const ACTIONS: &str = "actions";
-pub(super) const REWARDS: &str = "rewards";
-pub(super) const TERMINALS: &str = "terminals";
-pub(super) const TIMEOUTS: &str = "timeouts";
-pub(super) const NEXT_OBSERVATIONS: &str = "next_observations";
-pub(super) const INFOS: &str = "infos";
-pub(super) const GOAL: &str = "infos/goal";
 const METADATA: &str = "metadata";
 /// Copies of slices for partial loading.
 const VIRTUAL: &str = "virtual";
-const REQUIRED: [&str; 4] = [OBSERVATIONS, ACTIONS, REWARDS, TERMINALS];
-/// Groups inside groups are listed this deep; hard links can make a group its own member.
-const MAX_DEPTH: usize = 16;
 /// Arrays of a file, at most.
 const MAX_ARRAYS: usize = 4096;
 
@@ -41,7 +33,8 @@ impl Walked {
 
     /// One of the keys that were checked to be there.
     pub(super) fn required(&self, key: &str) -> Result<&Array> {
-        self.find(key).ok_or_else(|| missing(key, &self.arrays))
+        self.find(key)
+            .ok_or_else(|| missing(key, self.arrays.iter().map(Array::key)))
     }
 }
 
@@ -60,7 +53,7 @@ pub(super) fn walk(file: &H5File) -> Result<Walked> {
     walk.group("", 0)?;
     for key in REQUIRED {
         if !walk.arrays.iter().any(|array| array.key() == key) {
-            return Err(missing(key, &walk.arrays));
+            return Err(missing(key, walk.arrays.iter().map(Array::key)));
         }
     }
     let n_rows = walk
@@ -86,7 +79,7 @@ pub(super) fn walk(file: &H5File) -> Result<Walked> {
         keep
     });
     for array in &arrays {
-        check(array, n_rows)?;
+        check(&array.info(), n_rows)?;
     }
     Ok(Walked {
         arrays,
@@ -96,40 +89,25 @@ pub(super) fn walk(file: &H5File) -> Result<Walked> {
     })
 }
 
-fn missing(key: &str, arrays: &[Array]) -> DatasetError {
-    let found = arrays.iter().map(Array::key).collect::<Vec<_>>().join(", ");
-    DatasetError::MissingKey {
-        key: key.to_owned(),
-        found,
+/// The file for [`super::plan`].
+impl FlatArrays for Walked {
+    fn infos(&self) -> Vec<ArrayInfo> {
+        self.arrays.iter().map(Array::info).collect()
+    }
+
+    fn n_rows(&self) -> u64 {
+        self.n_rows
+    }
+
+    fn rows<'a>(&'a self, key: &str) -> Result<Box<dyn FlatRows + 'a>> {
+        Ok(Box::new(self.required(key)?))
     }
 }
 
-fn is_known(key: &str) -> bool {
-    REQUIRED.contains(&key)
-        || [TIMEOUTS, NEXT_OBSERVATIONS, INFOS].contains(&key)
-        || key
-            .strip_prefix(INFOS)
-            .is_some_and(|rest| rest.starts_with('/'))
-}
-
-fn check(array: &Array, n_rows: u64) -> Result<()> {
-    let key = || array.key().to_owned();
-    if array.n_rows() != n_rows {
-        return Err(DatasetError::LengthMismatch {
-            key: key(),
-            actual: array.n_rows(),
-            expected: n_rows,
-        });
+impl FlatRows for &Array {
+    fn append(&mut self, start: u64, n: usize, to: &mut LeafBuilder) -> Result<()> {
+        to.append(self, start, n)
     }
-    if [REWARDS, TERMINALS, TIMEOUTS].contains(&array.key()) && !array.is_column() {
-        let (actual, expected) = (array.row_shape().to_vec(), "one value a row".to_owned());
-        return Err(DatasetError::ShapeMismatch {
-            key: key(),
-            actual,
-            expected,
-        });
-    }
-    Ok(())
 }
 
 struct Walk<'f> {

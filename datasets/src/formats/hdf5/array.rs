@@ -193,9 +193,7 @@ fn element_of(descriptor: &TypeDescriptor) -> Option<Element> {
         // Any other enum by its numbers.
         TypeDescriptor::Enum(numbers) => element_of(&numbers.base_type())?,
         TypeDescriptor::VarLenUnicode | TypeDescriptor::VarLenAscii => Element::Text,
-        TypeDescriptor::VarLenArray(item)
-            if **item == TypeDescriptor::Unsigned(IntSize::U1) =>
-        {
+        TypeDescriptor::VarLenArray(item) if **item == TypeDescriptor::Unsigned(IntSize::U1) => {
             Element::Bytes
         }
         _ => return None,

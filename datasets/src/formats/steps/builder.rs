@@ -71,9 +71,16 @@ impl LeafBuilder {
     ///
     /// # Errors
     /// There are not as many bytes as such rows have.
-    pub(crate) fn append_bytes(&mut self, bytes: &[u8], n: usize, is_big_endian: bool) -> Result<()> {
+    pub(crate) fn append_bytes(
+        &mut self,
+        bytes: &[u8],
+        n: usize,
+        is_big_endian: bool,
+    ) -> Result<()> {
         if bytes.len() != n * self.width * self.element.n_bytes() {
-            return Err(DatasetError::corrupt("rows of another length than declared"));
+            return Err(DatasetError::corrupt(
+                "rows of another length than declared",
+            ));
         }
         macro_rules! extend {
             ($values:expr, $type:ty) => {{

@@ -9,8 +9,8 @@ use arrow::datatypes::{DataType, Field, FieldRef, Schema, SchemaRef};
 use arrow::error::ArrowError;
 use serde_json::Value;
 
-use super::element::Element;
 use super::builder::LeafBuilder;
+use super::element::Element;
 use super::pager::{Pager, Piece};
 use crate::error::{DatasetError, Result};
 use crate::schema;
