@@ -1,6 +1,6 @@
 # Thin: behind every target stands a command that works alone.
 
-.PHONY: demo test native check
+.PHONY: demo test native peers check
 
 # Builds with the default features and scores the bundled rollouts.
 demo: native
@@ -13,6 +13,13 @@ test: native
 # CMake for the static HDF5, if the machine has none that is new enough.
 native:
 	python3 scripts/native.py
+
+# The libraries of other people's formats, for the tests that have them read our files:
+# KSIM_PYTHON=target/peers/bin/python make test. LeRobot brings gigabytes and comes last.
+peers:
+	python3 -m venv target/peers
+	target/peers/bin/pip install --quiet "minari[hdf5]==0.5.4" pyarrow mcap mcap-protobuf-support mcap-ros2-support
+	timeout 900 target/peers/bin/pip install --quiet lerobot
 
 # What CI runs.
 check:
