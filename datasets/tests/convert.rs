@@ -170,7 +170,7 @@ fn what_is_not_there_is_named() {
     let source = write_source(&dir.path().join("in.parquet"));
     let to = dir.path().join("out.parquet");
     let options = ConvertOptions {
-        episodes: Some(vec![4..9]),
+        episodes: Some(std::iter::once(4..9).collect()),
         ..ConvertOptions::new(Format::Parquet)
     };
     let error = run(source.as_ref(), &to, &options).unwrap_err();
