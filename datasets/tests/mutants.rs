@@ -1,7 +1,8 @@
 //! Damaged files must give an error or data, never a panic, a crash or a hang.
 //!
-//! libhdf5 is C, so the mutants are opened in a child process: this very test binary, told by a variable to
-//! open a folder of files. `KSIM_MUTANTS` sets the number of mutants (default 300).
+//! libhdf5 is C, so the mutants are opened in child processes: this very test binary, told by a variable to
+//! open a folder of files. A child may take so much memory and no more (on Linux), and so long for a file.
+//! `KSIM_MUTANTS` sets the number of mutants (default 400). A new format needs one line in `FILES` or `FOLDERS`.
 #![cfg(feature = "hdf5")]
 #![expect(clippy::unwrap_used, reason = "tests")]
 
@@ -9,18 +10,41 @@
 #[expect(dead_code, reason = "shared with the golden tests")]
 mod support;
 
-use std::fmt::Write as _;
+use std::fs::File;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use ksim_datasets::{DatasetSink, EpisodePolicy, OpenOptions, ParquetSink, Scan, copy, open};
+use ksim_datasets::{
+    EpisodePolicy, Format, OpenOptions, Scan, SinkInput, WriteOptions, copy, create, open,
+};
 use support::{files, golden};
 
 /// Set in the child: the folder of mutants.
 const FOLDER: &str = "KSIM_MUTANT_FOLDER";
-/// All mutants together take a few seconds; a hang is a fault.
-const TIME_LIMIT: Duration = Duration::from_secs(300);
+/// A mutant takes milliseconds; a hang is a fault.
+const TIME_LIMIT: Duration = Duration::from_secs(60);
+/// Address space of a child, in KiB: what its threads reserve, and room for the bounds that readers document.
+const MEMORY_LIMIT: u64 = 4 << 20;
+/// Mutants that a child opens.
+const AT_ONCE: usize = 2000;
+/// Larger samples are passed over.
+const LARGEST: u64 = 200_000;
+/// Where files that are datasets lie, and how they end.
+const FILES: [(&str, &str); 4] = [
+    ("formats/hdf5/d4rl", ".hdf5"),
+    ("formats/hdf5/robomimic", ".hdf5"),
+    ("formats/hdf5/npz", ".npz"),
+    ("formats/mcap", ".mcap"),
+];
+/// Where folders that are datasets lie, and a file that each of them has.
+const FOLDERS: [(&str, &str); 2] = [
+    ("formats/minari", "data/metadata.json"),
+    ("formats/lerobot", "meta/info.json"),
+];
+/// Formats that a D4RL sample is written to.
+const WRITTEN: [Format; 2] = [Format::Parquet, Format::ArrowIpc];
 
 /// `SplitMix64`: mutants are the same on every run.
 struct Random(u64);
@@ -63,74 +87,85 @@ fn mutate(bytes: &mut Vec<u8>, random: &mut Random) {
     }
 }
 
-/// A sample: its path, and the Minari dataset around it if it is the data of one.
-fn samples(work: &Path) -> Vec<(PathBuf, Option<PathBuf>)> {
-    const LARGEST: u64 = 200_000;
-    let small = |path: &PathBuf| path.metadata().unwrap().len() < LARGEST;
-    let mut samples: Vec<_> = files(&golden("formats/hdf5/d4rl"), ".hdf5")
-        .into_iter()
-        .filter(small)
-        .map(|path| (path, None))
-        .collect();
-    for metadata in files(&golden("formats/minari"), "metadata.json") {
-        if metadata.ends_with("data/metadata.json") {
-            let dataset = metadata.parent().and_then(Path::parent).unwrap();
-            for ending in [".hdf5", ".arrow", ".parquet"] {
-                // The columns are those of the first episode.
-                let data = files(dataset, ending).into_iter().next();
-                samples.extend(data.map(|data| (data, Some(dataset.to_owned()))));
-            }
+/// What is mutated: a file, and the folder around it if that is the dataset.
+struct Sample {
+    file: PathBuf,
+    dataset: Option<PathBuf>,
+}
+
+fn samples(work: &Path) -> Vec<Sample> {
+    let small = |path: &PathBuf| (1..LARGEST).contains(&path.metadata().unwrap().len());
+    let mut samples = Vec::new();
+    for (folder, ending) in FILES {
+        let found = files(&golden(folder), ending).into_iter().filter(small);
+        samples.extend(found.map(|file| Sample {
+            file,
+            dataset: None,
+        }));
+    }
+    for (folder, mark) in FOLDERS {
+        for marked in files(&golden(folder), mark) {
+            let depth = Path::new(mark).components().count();
+            let dataset = marked.ancestors().nth(depth).unwrap().to_owned();
+            // The columns are those of the first episode, so its files come first.
+            let found = files(&dataset, "").into_iter().filter(small).take(4);
+            samples.extend(found.map(|file| Sample {
+                file,
+                dataset: Some(dataset.clone()),
+            }));
         }
     }
-    let source = open(
-        &golden("formats/hdf5/d4rl/adroit_like.hdf5"),
-        &OpenOptions::default(),
-    );
-    if let Ok(source) = source {
-        let parquet = work.join("whole.parquet");
-        let mut sink = ParquetSink::create(&parquet, source.schema()).unwrap();
-        copy(source.as_ref(), &mut sink).unwrap();
-        Box::new(sink).finish().unwrap();
-        samples.extend((0..6).map(|_| (parquet.clone(), None)));
+    let source = golden("formats/hdf5/d4rl/adroit_like.hdf5");
+    if let Ok(source) = open(&source, &OpenOptions::default()) {
+        let (schema, episodes) = (source.schema(), source.episodes().unwrap());
+        let input = SinkInput {
+            schema: &schema,
+            info: source.info(),
+            episodes: &episodes,
+        };
+        for format in WRITTEN {
+            let file = work.join(format!("whole.{format}"));
+            let mut sink = create(&file, format, &input, &WriteOptions::default()).unwrap();
+            copy(source.as_ref(), sink.as_mut()).unwrap();
+            sink.finish().unwrap();
+            samples.extend((0..6).map(|_| Sample {
+                file: file.clone(),
+                dataset: None,
+            }));
+        }
     }
     samples
 }
 
-fn write_mutants(folder: &Path, n_mutants: usize, samples: &[(PathBuf, Option<PathBuf>)]) {
-    let mut random = Random(1);
-    for number in 0..n_mutants {
-        let (path, dataset) = &samples[number % samples.len()];
-        let mut bytes = std::fs::read(path).unwrap();
-        mutate(&mut bytes, &mut random);
-        match dataset {
-            None => {
-                let suffix = path.extension().unwrap().to_string_lossy().into_owned();
-                let stem = path.file_stem().unwrap().to_string_lossy().into_owned();
-                std::fs::write(folder.join(format!("{number:05}-{stem}.{suffix}")), bytes).unwrap();
-            }
-            Some(dataset) => {
-                let name = dataset.file_name().unwrap().to_string_lossy().into_owned();
-                let mutant = folder.join(format!("{number:05}-{name}"));
-                for file in files(dataset, "") {
-                    let copy = mutant.join(file.strip_prefix(dataset).unwrap());
-                    std::fs::create_dir_all(copy.parent().unwrap()).unwrap();
-                    if file == *path {
-                        std::fs::write(copy, &bytes).unwrap();
-                    } else {
-                        std::fs::copy(&file, copy).unwrap();
-                    }
-                }
-            }
+fn write_mutant(folder: &Path, number: usize, sample: &Sample, random: &mut Random) {
+    let mut bytes = std::fs::read(&sample.file).unwrap();
+    mutate(&mut bytes, random);
+    let of = sample.dataset.as_ref().unwrap_or(&sample.file);
+    let name = of.file_name().unwrap().to_string_lossy().into_owned();
+    let mutant = folder.join(format!("{number:07}-{name}"));
+    let Some(dataset) = &sample.dataset else {
+        std::fs::write(mutant, bytes).unwrap();
+        return;
+    };
+    for file in files(dataset, "") {
+        let copy = mutant.join(file.strip_prefix(dataset).unwrap());
+        std::fs::create_dir_all(copy.parent().unwrap()).unwrap();
+        if file == sample.file {
+            std::fs::write(copy, &bytes).unwrap();
+        } else {
+            std::os::unix::fs::symlink(&file, copy).unwrap();
         }
     }
 }
 
 /// Reads everything there is to read; errors are fine.
 fn read_all(path: &Path) {
-    for policy in [None, Some(EpisodePolicy::D4rlQlearning)] {
+    let policies = [None, Some(EpisodePolicy::D4rlQlearning), None];
+    for (pass, policy) in policies.into_iter().enumerate() {
         let options = OpenOptions {
             episode_policy: policy,
             force: true,
+            recover: pass == 2,
             ..OpenOptions::default()
         };
         let Ok(source) = open(path, &options) else {
@@ -154,61 +189,101 @@ fn open_a_folder_of_mutants() {
     let Some(folder) = std::env::var_os(FOLDER) else {
         return;
     };
+    let mut log = File::create(Path::new(&folder).with_extension("log")).unwrap();
     let mut paths: Vec<PathBuf> = std::fs::read_dir(&folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
         .collect();
     paths.sort();
-    let log = Path::new(&folder).join("log");
-    let mut lines = String::new();
     for path in paths {
         // Written before opening: the last line names the file that crashed.
-        let _ = writeln!(lines, "{}", path.display());
-        std::fs::write(&log, &lines).unwrap();
+        writeln!(log, "{}", path.display()).unwrap();
         read_all(&path);
     }
-    std::fs::write(&log, lines + "finished").unwrap();
+    writeln!(log, "finished").unwrap();
 }
 
-#[test]
-fn damaged_files_never_crash() {
-    let n_mutants = std::env::var("KSIM_MUTANTS")
-        .ok()
-        .and_then(|n| n.parse().ok())
-        .unwrap_or(300);
-    let work = tempfile::tempdir().unwrap();
-    let folder = work.path().join("mutants");
-    std::fs::create_dir(&folder).unwrap();
-    let samples = samples(work.path());
-    assert!(samples.len() >= 10, "only {} samples found", samples.len());
-    write_mutants(&folder, n_mutants, &samples);
-    let mut child = Command::new(std::env::current_exe().unwrap())
+/// This test binary as a child that may not take more memory than it should.
+fn child(folder: &Path) -> Command {
+    let this = std::env::current_exe().unwrap();
+    let mut command = match cfg!(target_os = "linux") {
+        true => {
+            let mut command = Command::new("sh");
+            let limited = format!("ulimit -v {MEMORY_LIMIT} && exec \"$0\" \"$@\"");
+            command.arg("-c").arg(limited).arg(this);
+            command
+        }
+        false => Command::new(this),
+    };
+    command
         .args(["--exact", "open_a_folder_of_mutants", "--nocapture"])
-        .env(FOLDER, &folder)
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
+        .env(FOLDER, folder)
+        .stdout(Stdio::null());
+    command
+}
+
+/// Opens the mutants of a folder. Gives what is wrong.
+fn run(folder: &Path) -> Result<(), String> {
+    let (log, said) = (folder.with_extension("log"), folder.with_extension("err"));
+    let mut child = child(folder)
+        .stderr(File::create(&said).unwrap())
         .spawn()
         .unwrap();
-    let start = Instant::now();
+    let mut start = (Instant::now(), 0);
     let status = loop {
         if let Some(status) = child.try_wait().unwrap() {
             break status;
         }
-        if start.elapsed() > TIME_LIMIT {
+        let length = log.metadata().map_or(0, |log| log.len());
+        if length != start.1 {
+            start = (Instant::now(), length);
+        }
+        if start.0.elapsed() > TIME_LIMIT {
             child.kill().unwrap();
             break child.wait().unwrap();
         }
         std::thread::sleep(Duration::from_millis(20));
     };
-    let log = std::fs::read_to_string(folder.join("log")).unwrap_or_default();
-    let stderr = std::io::read_to_string(child.stderr.take().unwrap()).unwrap();
+    let log = std::fs::read_to_string(log).unwrap_or_default();
+    let said = std::fs::read_to_string(said).unwrap_or_default();
     let last = log.lines().last().unwrap_or_default().to_owned();
-    if !(status.success() && last == "finished") {
-        let kept = work.keep();
-        panic!("{status} on {last} (kept in {})\n{stderr}", kept.display());
+    match status.success() && last == "finished" {
+        true if said.contains("HDF5-DIAG") => Err(format!("libhdf5 prints its errors:\n{said}")),
+        true => Ok(()),
+        false => Err(format!("{status} on {last}\n{said}")),
     }
-    assert!(
-        !stderr.contains("HDF5-DIAG"),
-        "libhdf5 prints its errors:\n{stderr}"
-    );
+}
+
+#[test]
+fn damaged_files_never_crash() {
+    let n_mutants: usize = std::env::var("KSIM_MUTANTS")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(400);
+    // In memory, where there is a place for that.
+    let memory = Path::new("/dev/shm");
+    let work = match memory.is_dir() {
+        true => tempfile::tempdir_in(memory).unwrap(),
+        false => tempfile::tempdir().unwrap(),
+    };
+    let samples = samples(work.path());
+    assert!(samples.len() >= 10, "only {} samples found", samples.len());
+    let mut random = Random(1);
+    for first in (0..n_mutants).step_by(AT_ONCE) {
+        let folder = work.path().join(format!("mutants{first}"));
+        std::fs::create_dir(&folder).unwrap();
+        for number in first..n_mutants.min(first + AT_ONCE) {
+            write_mutant(
+                &folder,
+                number,
+                &samples[number % samples.len()],
+                &mut random,
+            );
+        }
+        if let Err(fault) = run(&folder) {
+            let kept = work.keep();
+            panic!("kept in {}: {fault}", kept.display());
+        }
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
 }

@@ -37,7 +37,7 @@ pub(super) enum Found {
     Array(NpyArray),
     /// An array that no column can be made of.
     Other {
-        key: String,
+        /// Its type.
         actual: String,
     },
 }
@@ -57,7 +57,6 @@ impl NpyArray {
         let dtype = header.dtype();
         let other = || {
             Ok(Found::Other {
-                key: key.to_owned(),
                 actual: dtype.descr(),
             })
         };

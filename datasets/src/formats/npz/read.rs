@@ -103,60 +103,21 @@ struct NpzFile {
 
 impl NpzFile {
     fn open(path: &Path, warnings: &mut Vec<Warning>) -> Result<Self> {
-        let mut left_out = |column: &str, reason| {
-            warnings.push(Warning::ColumnLeftOut {
-                column: column.to_owned(),
-                reason,
-            });
-        };
-        let archive = Archive::open(path)?;
-        let mut arrays = Vec::new();
-        for entry in &archive.entries {
-            let Some(key) = entry.name.strip_suffix(".npy") else {
-                left_out(&entry.name, "it is no array");
-                continue;
-            };
-            match NpyArray::open(&archive.path, entry, key)? {
-                Found::Array(array) if array.info.width() > 0 => arrays.push(array),
-                Found::Array(array) if !must_fit(key) => {
-                    left_out(&array.info.key, "its rows are empty")
-                }
-                Found::Array(array) => {
-                    return Err(DatasetError::ShapeMismatch {
-                        key: array.info.key,
-                        actual: array.info.row_shape,
-                        expected: "at least one value a row".to_owned(),
-                    });
-                }
-                Found::Other { key, .. } if !must_fit(&key) => {
-                    left_out(&key, "its type or shape cannot be a column");
-                }
-                Found::Other { key, actual } => {
-                    let expected = "an array of numbers or flags";
-                    return Err(DatasetError::WrongType {
-                        key,
-                        actual,
-                        expected,
-                    });
-                }
-            }
-        }
-        arrays.sort_by(|a, b| a.info.key.cmp(&b.info.key));
+        let mut arrays = arrays(&Archive::open(path)?, warnings)?;
         let find = |key: &str| arrays.iter().find(|array| array.info.key == key);
         let is_ogbench = find(REWARDS).is_none() && find(TIMEOUTS).is_none();
         let ogbench = [OBSERVATIONS, ACTIONS, TERMINALS];
         let required: &[&str] = if is_ogbench { &ogbench } else { &REQUIRED };
         if let Some(key) = required.iter().find(|key| find(key).is_none()) {
-            return Err(missing(
-                key,
-                arrays.iter().map(|array| array.info.key.as_str()),
-            ));
+            let found = arrays.iter().map(|array| array.info.key.as_str());
+            return Err(missing(key, found));
         }
         let n_rows = find(OBSERVATIONS).map_or(0, |array| array.info.n_rows);
         arrays.retain(|array| {
             let keep = must_fit(&array.info.key) || array.info.n_rows == n_rows;
             if !keep {
-                left_out(&array.info.key, "it does not have one row per step");
+                let reason = "it does not have one row per step";
+                warnings.push(left_out(&array.info.key, reason));
             }
             keep
         });
@@ -168,6 +129,49 @@ impl NpzFile {
             n_rows,
             is_ogbench,
         })
+    }
+}
+
+/// The arrays of an archive that can be columns, by key.
+fn arrays(archive: &Archive, warnings: &mut Vec<Warning>) -> Result<Vec<NpyArray>> {
+    let mut arrays = Vec::new();
+    for entry in &archive.entries {
+        let Some(key) = entry.name.strip_suffix(".npy") else {
+            warnings.push(left_out(&entry.name, "it is no array"));
+            continue;
+        };
+        match NpyArray::open(&archive.path, entry, key)? {
+            Found::Array(array) if array.info.width() > 0 => arrays.push(array),
+            Found::Array(_) if !must_fit(key) => {
+                warnings.push(left_out(key, "its rows are empty"));
+            }
+            Found::Array(array) => {
+                return Err(DatasetError::ShapeMismatch {
+                    key: array.info.key,
+                    actual: array.info.row_shape,
+                    expected: "at least one value a row".to_owned(),
+                });
+            }
+            Found::Other { .. } if !must_fit(key) => {
+                warnings.push(left_out(key, "its type or shape cannot be a column"));
+            }
+            Found::Other { actual } => {
+                return Err(DatasetError::WrongType {
+                    key: key.to_owned(),
+                    actual,
+                    expected: "an array of numbers or flags",
+                });
+            }
+        }
+    }
+    arrays.sort_by(|a, b| a.info.key.cmp(&b.info.key));
+    Ok(arrays)
+}
+
+fn left_out(column: &str, reason: &'static str) -> Warning {
+    Warning::ColumnLeftOut {
+        column: column.to_owned(),
+        reason,
     }
 }
 

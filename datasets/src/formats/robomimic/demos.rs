@@ -4,12 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
-use arrow::datatypes::{DataType, Field};
-
+use super::shift::is_shifted;
 use crate::error::{DatasetError, Result};
 use crate::formats::hdf5::{
-    Array, ColumnSource, Element, EpisodeRows, H5File, LeafBuilder, MemberKind, RowRule,
-    StepColumn, array_paths, join, members,
+    Array, ColumnSource, Element, EpisodeRows, H5File, MemberKind, RowRule, StepColumn,
+    array_paths, join, members,
 };
 use crate::schema;
 use crate::source::Warning;
@@ -22,8 +21,6 @@ const ACTIONS: &str = "actions";
 const REWARDS: &str = "rewards";
 const DONES: &str = "dones";
 const STATES: &str = "states";
-/// Bytes compared at a time.
-const BYTES_AT_ONCE: usize = 8 << 20;
 
 /// A demonstration.
 pub(super) struct Demo {
@@ -150,19 +147,15 @@ impl Demos {
         {
             return Err(missing(key));
         }
-        let known = || self.keys.intersection(&paths);
-        check_lengths(file, group, known(), n_steps)?;
-        let mut unshifted = Vec::new();
-        for path in known().filter(|path| path.starts_with(NEXT_OBS)) {
-            if !is_shifted(file, group, path)? {
-                unshifted.push(path.clone());
-            }
-        }
-        for path in unshifted {
+        check_lengths(file, group, self.keys.intersection(&paths), n_steps)?;
+        for path in self.unshifted_in(file, group, &paths)? {
             *self.unshifted.entry(path).or_default() += 1;
         }
         self.extra.extend(paths.difference(&self.keys).cloned());
-        let has_next = |key: &str| paths.contains(&format!("{NEXT_OBS}{key}"));
+        let has_next = |key: &str| {
+            let next = format!("{NEXT_OBS}{key}");
+            paths.contains(&next) && self.keys.contains(&next)
+        };
         let has_final_obs = self
             .keys
             .iter()
@@ -178,6 +171,23 @@ impl Demos {
             },
         });
         Ok(())
+    }
+
+    /// The next observations of a demonstration that are not those of the next row.
+    fn unshifted_in(
+        &self,
+        file: &H5File,
+        group: &str,
+        paths: &BTreeSet<String>,
+    ) -> Result<Vec<String>> {
+        let known = self.keys.intersection(paths);
+        let mut unshifted = Vec::new();
+        for path in known.filter(|path| path.starts_with(NEXT_OBS)) {
+            if !is_shifted(file, group, path)? {
+                unshifted.push(path.clone());
+            }
+        }
+        Ok(unshifted)
     }
 
     /// The columns, as the first demonstration has them; next observations are decided on at the end.
@@ -361,47 +371,4 @@ fn check_lengths<'p>(
         }
     }
     Ok(())
-}
-
-/// Whether row i of a next observation is row i + 1 of the observation, for all rows but the last.
-fn is_shifted(file: &H5File, group: &str, path: &str) -> Result<bool> {
-    let observation = format!("{OBS}{}", path.strip_prefix(NEXT_OBS).unwrap_or(path));
-    if !file.root().link_exists(&join(group, &observation)) {
-        return Ok(false);
-    }
-    let (before, after) = (
-        file.array(&join(group, &observation))?,
-        file.array(&join(group, path))?,
-    );
-    if before.element() != after.element() || before.row_shape() != after.row_shape() {
-        return Err(DatasetError::ShapeMismatch {
-            key: after.key().to_owned(),
-            actual: after.row_shape().to_vec(),
-            expected: format!("type and shape of \"{}\"", before.key()),
-        });
-    }
-    let row_bytes = before.width().saturating_mul(8).max(1);
-    let at_once = (BYTES_AT_ONCE / row_bytes).max(1) as u64;
-    let n_pairs = after.n_rows().min(before.n_rows()).saturating_sub(1);
-    let mut start = 0;
-    while start < n_pairs {
-        let n = usize::try_from(at_once.min(n_pairs - start)).unwrap_or(1);
-        if flat(&before, start + 1, n)? != flat(&after, start, n)? {
-            return Ok(false);
-        }
-        start += n as u64;
-    }
-    Ok(true)
-}
-
-fn flat(array: &Array, start: u64, n: usize) -> Result<arrow::array::ArrayData> {
-    let mut builder = LeafBuilder::new(array.element(), array.width(), n);
-    builder.append(array, start, n)?;
-    let data_type = match array.element() {
-        Element::Bool => DataType::Int8,
-        element => element.data_type(),
-    };
-    Ok(builder
-        .finish(&Field::new(array.key(), data_type, true))?
-        .to_data())
 }

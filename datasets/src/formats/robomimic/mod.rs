@@ -15,6 +15,7 @@
 
 mod demos;
 mod read;
+mod shift;
 #[cfg(test)]
 mod tests;
 

@@ -4,10 +4,11 @@
 //! batch, with the checks of [`rows`].
 
 mod columns;
+mod names;
 mod rows;
 mod scan;
 mod table;
 
-pub use columns::ColumnNames;
+pub use names::ColumnNames;
 pub(crate) use scan::{TableReader, TableScan};
 pub(crate) use table::{FIRST_ROWS, Table};

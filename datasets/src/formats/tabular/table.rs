@@ -7,7 +7,8 @@ use arrow::array::RecordBatch;
 use arrow::datatypes::{DataType, Field, FieldRef, Schema, SchemaRef};
 use serde_json::{Map, Value};
 
-use super::columns::{ColumnNames, ColumnPlan, Conversion, FilePlan, Role};
+use super::columns::{ColumnPlan, Conversion, FilePlan, Role};
+use super::names::ColumnNames;
 use super::rows::{first_width, with_width};
 use crate::error::{DatasetError, Result};
 use crate::format::Format;
