@@ -317,6 +317,15 @@ pub enum DatasetError {
         /// All names.
         expected: String,
     },
+    /// A dataset could not be fetched.
+    #[cfg(feature = "download")]
+    #[error("cannot download {what}")]
+    Download {
+        /// The address, or the name if it leads to none.
+        what: String,
+        /// Why not.
+        source: crate::download::DownloadError,
+    },
     /// Arrow could not build or convert an array.
     #[error("cannot {operation}")]
     Arrow {

@@ -13,6 +13,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use crate::error::{DatasetError, Result};
+use crate::registry;
 
 pub use list::{Listed, list};
 
@@ -220,24 +221,62 @@ impl Candidate {
     }
 }
 
+/// Names to download for a name: a D4RL dataset, or the newest Minari datasets it may stand for.
+pub(crate) fn published(name: &str) -> Vec<String> {
+    match d4rl_names::known(name) {
+        Some(known) => vec![known.id.to_owned()],
+        None => minari_ids::published(name),
+    }
+}
+
+/// Whether a name can be a dataset's id with its version; such a name is safe to join to a root.
+#[cfg(any(feature = "download", test))]
+pub(crate) fn is_versioned_id(name: &str) -> bool {
+    minari_ids::check_characters(name).is_ok() && minari_ids::version(name).is_some()
+}
+
+/// Checks that a name has only the characters of an id.
+///
+/// # Errors
+/// [`DatasetError::BadId`] for a name that could leave the root.
+#[cfg(feature = "download")]
+pub(crate) fn check_characters(name: &str) -> Result<()> {
+    minari_ids::check_characters(name)
+}
+
+/// The folder of a Minari id under its root.
+///
+/// # Errors
+/// [`DatasetError::BadId`] for an id that could leave the root.
+#[cfg(feature = "download")]
+pub(crate) fn minari_folder(root: &Path, id: &str) -> Result<PathBuf> {
+    minari_ids::folder(root, id)
+}
+
 /// How to get what is not there.
 fn help(name: &str) -> String {
-    let mut lines = Vec::new();
-    for url in d4rl_names::urls(name) {
+    let mut lines: Vec<String> = published(name)
+        .iter()
+        .map(|id| format!("ksim dataset download {id}"))
+        .collect();
+    if let Some(known) = d4rl_names::known(name) {
+        // For machines where something else has to fetch it.
         lines.push(format!(
-            "D4RL: download {url} to $D4RL_DATASET_DIR (default ~/.d4rl/datasets)"
-        ));
-    }
-    for id in minari_ids::published(name) {
-        lines.push(format!(
-            "Minari: `minari download {id}` ($MINARI_DATASETS_PATH, default ~/.minari/datasets)"
+            "or put {} into $D4RL_DATASET_DIR (default ~/.d4rl/datasets)",
+            known.url()
         ));
     }
     if lines.is_empty() {
-        lines.push(
-            "no published dataset of this name is known; `ksim dataset list` shows what is here"
+        let known = registry::alternatives(name);
+        lines.push(match known.as_slice() {
+            [] => "no published dataset of this name is known; `ksim dataset list --known` shows \
+                   those that are"
                 .to_owned(),
-        );
+            _ => format!(
+                "no published dataset of this name is known; there are {}",
+                known.join(", ")
+            ),
+        });
     }
     format!("to get it:\n  {}", lines.join("\n  "))
 }
@@ -311,7 +350,7 @@ mod tests {
         let (_dir, roots) = roots(&[], &[]);
         let error = found("antmaze-large-play", &roots);
         assert!(
-            error.contains("minari download D4RL/antmaze/large-play-v1"),
+            error.contains("ksim dataset download D4RL/antmaze/large-play-v1"),
             "{error}"
         );
         assert!(error.contains("D4RL/antmaze/large-play-v*"), "{error}");

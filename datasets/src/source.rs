@@ -90,9 +90,10 @@ pub struct DatasetInfo {
     pub env_spec: Option<Value>,
     /// Everything else the source records about itself. Infinities and NaN are strings.
     pub metadata: Map<String, Value>,
-    /// Reference score that counts as 0, where recorded.
+    /// Reference score that counts as 0, where recorded; for a D4RL file, where its name is known
+    /// ([`crate::registry`]).
     pub ref_min_score: Option<f64>,
-    /// Reference score that counts as 1, where recorded.
+    /// Reference score that counts as 1, as above.
     pub ref_max_score: Option<f64>,
     /// What was odd about the dataset while opening it.
     pub warnings: Vec<Warning>,

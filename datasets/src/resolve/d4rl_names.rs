@@ -1,152 +1,21 @@
 //! D4RL's dataset ids and the files they are stored in.
 
-/// Where D4RL's files are published.
-const BASE: &str = "http://rail.eecs.berkeley.edu/datasets/offline_rl/";
-
-const LOCOMOTION: [&str; 4] = ["halfcheetah", "hopper", "walker2d", "ant"];
-const LOCOMOTION_SETS: [&str; 6] = [
-    "random",
-    "medium",
-    "expert",
-    "medium-replay",
-    "full-replay",
-    "medium-expert",
-];
-const ADROIT: [&str; 4] = ["pen", "hammer", "door", "relocate"];
+use crate::registry::{self, Known, Store};
 
 /// File names under which the dataset may be stored, best first; empty for a name D4RL does not have.
 pub(super) fn file_names(id: &str) -> Vec<String> {
-    let mut names: Vec<String> = paths(id)
-        .iter()
-        .map(|path| path.rsplit('/').next().unwrap_or(path).to_owned())
-        .collect();
-    // A file saved under the id itself.
-    if !names.is_empty() {
-        let own = format!("{id}.hdf5");
-        if !names.contains(&own) {
-            names.push(own);
-        }
-    }
+    let Some(published) = known(id).and_then(Known::file_name) else {
+        return Vec::new();
+    };
+    // A file saved under the id itself counts too.
+    let mut names = vec![published.to_owned(), format!("{id}.hdf5")];
+    names.dedup();
     names
 }
 
-/// Where the dataset is published.
-pub(super) fn urls(id: &str) -> Vec<String> {
-    paths(id)
-        .iter()
-        .map(|path| format!("{BASE}{path}"))
-        .collect()
-}
-
-fn paths(id: &str) -> Vec<String> {
-    let Some((stem, version)) = id.rsplit_once("-v") else {
-        return Vec::new();
-    };
-    let Some((family, set)) = stem.split_once('-') else {
-        return Vec::new();
-    };
-    let path = match family {
-        _ if LOCOMOTION.contains(&family) => locomotion(family, set, version),
-        "antmaze" => antmaze(set, version),
-        "maze2d" => maze2d(set, version),
-        "kitchen" if version == "0" => kitchen(set),
-        _ if ADROIT.contains(&family) => adroit(family, set, version),
-        "minigrid" if version == "0" => Some(format!(
-            "minigrid/{}.hdf5",
-            stem.replace("fourrooms-random", "fourrooms_random")
-                .replace('-', "")
-        ))
-        .filter(|_| set.starts_with("fourrooms")),
-        _ => None,
-    };
-    path.into_iter().collect()
-}
-
-fn locomotion(env: &str, set: &str, version: &str) -> Option<String> {
-    let known = LOCOMOTION_SETS.contains(&set);
-    match version {
-        "1" | "2" if known => Some(format!(
-            "gym_mujoco_v{version}/{env}_{}-v{version}.hdf5",
-            set.replace('-', "_")
-        )),
-        "0" if set == "medium-replay" => {
-            // The one file whose environment is called otherwise.
-            let env = if env == "walker2d" { "walker" } else { env };
-            Some(format!("gym_mujoco/{env}_mixed.hdf5"))
-        }
-        "0" if known || (env == "ant" && set == "random-expert") => {
-            Some(format!("gym_mujoco/{env}_{}.hdf5", set.replace('-', "_")))
-        }
-        _ => None,
-    }
-}
-
-fn antmaze(set: &str, version: &str) -> Option<String> {
-    let (maze, start, goal) = match set {
-        "umaze" => (0, "False", "False"),
-        "umaze-diverse" => (0, "True", "True"),
-        "medium-play" => (1, "True", "False"),
-        "medium-diverse" => (1, "True", "True"),
-        "large-play" => (2, "True", "False"),
-        "large-diverse" => (2, "True", "True"),
-        _ => return None,
-    };
-    let (folder, mazes, suffix) = match version {
-        "0" => (
-            "ant_maze_new",
-            ["u-maze", "big-maze", "hardest-maze"],
-            "sparse",
-        ),
-        "1" => ("ant_maze_v1", ["umaze", "medium", "large"], "sparse"),
-        "2" => (
-            "ant_maze_v2",
-            ["u-maze", "big-maze", "hardest-maze"],
-            "sparse_fixed",
-        ),
-        _ => return None,
-    };
-    let maze = mazes[maze];
-    Some(format!(
-        "{folder}/Ant_maze_{maze}_noisy_multistart_{start}_multigoal_{goal}_{suffix}.hdf5"
-    ))
-}
-
-fn maze2d(set: &str, version: &str) -> Option<String> {
-    let (eval, set) = match set.strip_prefix("eval-") {
-        Some(set) => ("eval-", set),
-        None => ("", set),
-    };
-    let (maze, reward) = match set.strip_suffix("-dense") {
-        Some(maze) => (maze, "dense"),
-        None => (set, "sparse"),
-    };
-    match (maze, version) {
-        ("umaze" | "medium" | "large", "1") => {
-            Some(format!("maze2d/maze2d-{eval}{maze}-{reward}-v1.hdf5"))
-        }
-        ("open", "0") => Some(format!("maze2d/maze2d-{eval}open-{reward}.hdf5")),
-        _ => None,
-    }
-}
-
-fn kitchen(set: &str) -> Option<String> {
-    let tasks = match set {
-        "complete" => "mini_kitchen_microwave_kettle_light_slider",
-        "partial" => "kitchen_microwave_kettle_light_slider",
-        "mixed" => "kitchen_microwave_kettle_bottomburner_light",
-        _ => return None,
-    };
-    Some(format!("kitchen/{tasks}-v0.hdf5"))
-}
-
-fn adroit(task: &str, set: &str, version: &str) -> Option<String> {
-    match (set, version) {
-        ("human" | "cloned" | "expert", "1") => Some(format!("hand_dapg_v1/{task}-{set}-v1.hdf5")),
-        ("human", "0") => Some(format!("hand_dapg/{task}-v0_demos_clipped.hdf5")),
-        ("cloned", "0") => Some(format!("hand_dapg/{task}-demos-v0-bc-combined.hdf5")),
-        ("expert", "0") => Some(format!("hand_dapg/{task}-v0_expert_clipped.hdf5")),
-        _ => None,
-    }
+/// The D4RL dataset of this id.
+pub(super) fn known(id: &str) -> Option<&'static Known> {
+    registry::find(id).filter(|known| known.store == Store::D4rl)
 }
 
 #[cfg(test)]
@@ -187,11 +56,12 @@ mod tests {
                 "kitchen-complete-v0",
                 "kitchen/mini_kitchen_microwave_kettle_light_slider-v0.hdf5",
             ),
+            ("minigrid-fourrooms-v0", "minigrid/minigrid4rooms.hdf5"),
             ("pen-human-v1", "hand_dapg_v1/pen-human-v1.hdf5"),
             ("door-cloned-v0", "hand_dapg/door-demos-v0-bc-combined.hdf5"),
         ];
         for (id, path) in cases {
-            assert_eq!(paths(id), [path], "{id}");
+            assert_eq!(known(id).map(|known| known.path), Some(path), "{id}");
         }
         for unknown in [
             "hopper-medium",
@@ -199,8 +69,10 @@ mod tests {
             "antmaze-huge-v2",
             "x-v1",
             "hopper-medium-v9",
+            "hopper-full-replay-v0",
+            "D4RL/pen/human-v2",
         ] {
-            assert!(paths(unknown).is_empty(), "{unknown}");
+            assert!(known(unknown).is_none(), "{unknown}");
         }
     }
 

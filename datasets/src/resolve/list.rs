@@ -50,6 +50,8 @@ fn list_minari(root: &Path, folder: &Path, depth: usize, found: &mut Vec<Listed>
     for entry in entries
         .flatten()
         .filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()))
+        // A download under way is a hidden folder.
+        .filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."))
     {
         let path = entry.path();
         if minari_ids::is_dataset(&path) {
@@ -153,6 +155,7 @@ mod tests {
                 r#"{"minari_version": "0.5.4", "data_format": "zarr"}"#,
             ),
             ("bad-v0", "{"),
+            (".half-v0.part", "{}"),
         ] {
             let data = minari.join(id).join("data");
             std::fs::create_dir_all(&data).unwrap();

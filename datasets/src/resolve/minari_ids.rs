@@ -3,45 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use crate::error::Result;
+use crate::registry;
 
 use super::bad;
 
-/// Families whose short name `family-set` means `D4RL/family/set`.
-const D4RL_FAMILIES: [&str; 8] = [
-    "antmaze",
-    "door",
-    "hammer",
-    "kitchen",
-    "pen",
-    "pointmaze",
-    "relocate",
-    "minigrid",
-];
-/// Families whose short name `family-set` means `mujoco/family/set`.
-const MUJOCO_FAMILIES: [&str; 11] = [
-    "ant",
-    "halfcheetah",
-    "hopper",
-    "humanoid",
-    "humanoidstandup",
-    "inverteddoublependulum",
-    "invertedpendulum",
-    "pusher",
-    "reacher",
-    "swimmer",
-    "walker2d",
-];
-/// Version published per family, for the download command.
-const PUBLISHED: [(&str, u32); 8] = [
-    ("antmaze", 1),
-    ("door", 2),
-    ("hammer", 2),
-    ("kitchen", 2),
-    ("pen", 2),
-    ("pointmaze", 2),
-    ("relocate", 2),
-    ("minigrid", 0),
-];
+/// Namespaces whose datasets have short names: `family-set` means `<namespace>/family/set`.
+const NAMESPACES: [&str; 2] = ["D4RL", "mujoco"];
 
 /// Checks an id before it is joined to a path. Minari itself does not, so its ids can leave the root.
 ///
@@ -85,32 +52,32 @@ pub(super) fn expand(stem: &str) -> Vec<String> {
     let Some((family, set)) = stem.split_once('-').filter(|_| !stem.contains('/')) else {
         return Vec::new();
     };
-    let mut ids = Vec::new();
-    if D4RL_FAMILIES.contains(&family) {
-        ids.push(format!("D4RL/{family}/{set}"));
-    }
-    if MUJOCO_FAMILIES.contains(&family) {
-        ids.push(format!("mujoco/{family}/{set}"));
-    }
-    ids
+    let folders = NAMESPACES.map(|namespace| format!("{namespace}/{family}/"));
+    folders
+        .into_iter()
+        .filter(|folder| registry::all().any(|known| known.id.starts_with(folder)))
+        .map(|folder| format!("{folder}{set}"))
+        .collect()
 }
 
-/// Full ids with version to download for a name, where such are published.
+/// Full ids with version to download for a name, where such are published; the newest for a name without.
 pub(super) fn published(name: &str) -> Vec<String> {
     if name.contains('/') && version(name).is_some() {
         return vec![name.to_owned()];
     }
-    let recorded = version(name);
-    let ids = expand(without_version(name)).into_iter();
-    ids.map(|id| {
-        let family = id.split('/').nth(1).unwrap_or_default();
-        let known = PUBLISHED
-            .iter()
-            .find(|(name, _)| *name == family)
-            .map_or(0, |(_, version)| *version);
-        format!("{id}-v{}", recorded.unwrap_or(known))
-    })
-    .collect()
+    let stem = without_version(name);
+    let mut stems = expand(stem);
+    if stem.contains('/') {
+        stems.push(stem.to_owned());
+    }
+    let newest = |stem: &String| {
+        let of_stem = registry::all().filter(|known| without_version(known.id) == stem);
+        of_stem.filter_map(|known| version(known.id)).max()
+    };
+    let known = stems.iter().filter_map(|stem| Some((stem, newest(stem)?)));
+    known
+        .map(|(stem, newest)| format!("{stem}-v{}", version(name).unwrap_or(newest)))
+        .collect()
 }
 
 /// The folder of an id under the root.

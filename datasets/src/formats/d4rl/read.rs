@@ -17,6 +17,7 @@ use crate::formats::hdf5::{
     ColumnSource, EpisodeRows, H5File, LeafBuilder, Piece, RowRule, StepColumn, StepScan,
     StepTable, table_schema,
 };
+use crate::registry;
 use crate::schema;
 use crate::source::{DatasetInfo, DatasetSource, Scan};
 use crate::spec::LeafSpec;
@@ -66,6 +67,9 @@ impl D4rlSource {
         info.action = leaf(schema::ACTION).into_iter().collect();
         info.episode_rule = plan.rule;
         info.boundaries_inferred = plan.inferred;
+        let known = registry::find_file(&file_name);
+        info.ref_min_score = known.and_then(|known| known.ref_min_score);
+        info.ref_max_score = known.and_then(|known| known.ref_max_score);
         info.warnings = plan.warnings;
         info.warnings.append(&mut walked.warnings);
         Ok(Self {

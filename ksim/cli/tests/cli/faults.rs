@@ -85,7 +85,10 @@ fn dataset_names_are_looked_up_with_care() {
     };
     run("../antmaze-large-play").failed(1, &[".."]);
     run("D4RL/../../antmaze/large-play-v1").failed(1, &[".."]);
-    run("antmaze-large-play").failed(1, &["antmaze-large-play", "looked for", "minari download"]);
+    run("antmaze-large-play").failed(
+        1,
+        &["antmaze-large-play", "looked for", "ksim dataset download"],
+    );
 }
 
 #[test]

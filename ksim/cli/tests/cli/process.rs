@@ -53,8 +53,16 @@ pub(crate) fn command() -> Command {
     for variable in [
         "MINARI_DATASETS_PATH",
         "D4RL_DATASET_DIR",
+        "HF_ENDPOINT",
         "HOME",
         "NO_COLOR",
+        // Nothing here leaves this machine.
+        "ALL_PROXY",
+        "HTTPS_PROXY",
+        "HTTP_PROXY",
+        "all_proxy",
+        "https_proxy",
+        "http_proxy",
     ] {
         command.env_remove(variable);
     }

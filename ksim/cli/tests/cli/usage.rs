@@ -102,7 +102,7 @@ fn dataset_list_says_where_it_looked() {
         "no datasets found",
         roots.path().to_str().unwrap(),
         "D4RL_DATASET_DIR",
-        "minari download",
+        "ksim dataset download",
     ] {
         assert!(text.contains(part), "no {part} in {text}");
     }

@@ -2,6 +2,7 @@
 
 mod download;
 mod inspect;
+mod known;
 mod validate;
 
 use anyhow::{Context as _, Result};
@@ -23,8 +24,8 @@ const INFO_SCHEMA: &str = "ksim.dataset-info/1";
 
 /// How to get data, for people who have none.
 const HOW_TO_GET: &str = "\
-Minari datasets: pip install \"minari[hdf5,hf]\", then: minari download D4RL/antmaze/large-play-v1
-D4RL files:      put the .hdf5 files of the D4RL project into a folder and name it in D4RL_DATASET_DIR
+ksim dataset download D4RL/antmaze/large-play-v1   fetches one (a Minari id or a D4RL name)
+ksim dataset list --known                          shows what is published
 Any file can also be given by its path.
 ";
 
@@ -37,8 +38,11 @@ pub(crate) struct DatasetArgs {
 
 #[derive(Debug, Clone, Subcommand)]
 enum DatasetCommand {
-    /// List the datasets in the Minari and D4RL folders of this machine
+    /// List the datasets in the Minari and D4RL folders of this machine, or those that can be downloaded
     List {
+        /// Show published datasets instead: all, or those whose id holds PATTERN (`*` stands for a part of it)
+        #[arg(long, value_name = "PATTERN", num_args = 0..=1, default_missing_value = "")]
+        known: Option<String>,
         /// How to print the list
         #[arg(long, value_enum, default_value_t = OutputFormat::Text)]
         format: OutputFormat,
@@ -62,7 +66,14 @@ enum DatasetCommand {
 /// Runs the subcommand.
 pub(crate) fn run(args: &DatasetArgs, context: &Context) -> Result<CommandOutcome> {
     match &args.command {
-        DatasetCommand::List { format } => list(*format),
+        DatasetCommand::List {
+            known: Some(pattern),
+            format,
+        } => known::list(pattern, *format),
+        DatasetCommand::List {
+            known: None,
+            format,
+        } => list(*format),
         DatasetCommand::Info {
             dataset,
             format,
@@ -261,6 +272,16 @@ impl InfoDocument {
     }
 }
 
+/// The returns that count as 0 and 1 in normalized scores.
+fn reference_scores(info: &DatasetInfo) -> String {
+    match (info.ref_min_score, info.ref_max_score) {
+        (Some(low), Some(high)) => {
+            format!("returns of {low} and {high} count as 0 and 1")
+        }
+        _ => "not known".to_owned(),
+    }
+}
+
 fn info_text(info: &DatasetInfo, summary: &Summary) -> String {
     let spread = |spread: Option<Spread>| match spread {
         Some(Spread {
@@ -313,6 +334,7 @@ fn info_text(info: &DatasetInfo, summary: &Summary) -> String {
         ("episode rule", format!("{}{inferred}", info.episode_rule)),
         ("returns", spread(summary.returns)),
         ("success", success),
+        ("reference scores", reference_scores(info)),
         (
             "observation",
             format!("{} columns", info.observation_width()),
