@@ -10,6 +10,7 @@ mod pairing;
 mod process;
 mod score;
 #[cfg(feature = "download")]
+#[expect(dead_code, reason = "the tests of the downloader need more of it")]
 #[path = "../../../../datasets/tests/download/server.rs"]
 mod server;
 mod usage;
