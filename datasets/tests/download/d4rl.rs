@@ -21,15 +21,15 @@ fn file() -> Vec<u8> {
         "/../tests/fixtures/golden/data_fixtures"
     );
     let mut files = std::fs::read_dir(format!("{fixtures}/d4rl"))
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
+        .expect("it works")
+        .map(|entry| entry.expect("it works").path())
         .filter(|path| path.extension().is_some_and(|suffix| suffix == "hdf5"))
         .filter(|path| {
             ksim_datasets::open(path, &Default::default()).is_ok() || !cfg!(feature = "hdf5")
         })
         .collect::<Vec<_>>();
     files.sort();
-    std::fs::read(files.first().expect("a readable file")).unwrap()
+    std::fs::read(files.first().expect("a readable file")).expect("it works")
 }
 
 #[test]

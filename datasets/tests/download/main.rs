@@ -20,7 +20,7 @@ struct World {
 
 impl World {
     fn new(base_url: &str) -> Self {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = tempfile::tempdir().expect("it works");
         let options = DownloadOptions {
             roots: SearchRoots {
                 minari: Some(folder.path().join("minari")),
@@ -49,13 +49,13 @@ impl World {
 
     #[track_caller]
     fn fetched(&self, name: &str) -> Downloaded {
-        self.download(name).0.unwrap()
+        self.download(name).0.expect("it works")
     }
 
     /// Fails with a message that holds every part and leaves nothing behind.
     #[track_caller]
     fn refused(&self, name: &str, parts: &[&str]) {
-        let error = self.download(name).0.unwrap_err();
+        let error = self.download(name).0.expect_err("it fails");
         for part in parts {
             assert!(error.contains(part), "no {part:?} in {error}");
         }
@@ -71,16 +71,21 @@ impl World {
     }
 
     fn read(&self, file: &str) -> Vec<u8> {
-        std::fs::read(self.folder.path().join(file)).unwrap()
+        std::fs::read(self.folder.path().join(file)).expect("it works")
     }
 }
 
 fn walk(root: &Path, folder: &Path, files: &mut Vec<String>) {
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
+    for entry in std::fs::read_dir(folder).expect("it works") {
+        let path = entry.expect("it works").path();
         match path.is_dir() {
             true => walk(root, &path, files),
-            false => files.push(path.strip_prefix(root).unwrap().display().to_string()),
+            false => files.push(
+                path.strip_prefix(root)
+                    .expect("it works")
+                    .display()
+                    .to_string(),
+            ),
         }
     }
 }

@@ -44,7 +44,7 @@ fn listing() -> Vec<Value> {
 fn hub(request: &Request) -> Reply {
     let path = request.path.as_str();
     let body = match path {
-        LISTING => serde_json::to_vec(&listing()).unwrap(),
+        LISTING => serde_json::to_vec(&listing()).expect("it works"),
         "/datasets/farama-minari/D4RL/resolve/main/namespace_metadata.json" => {
             br#"{"description": "d"}"#.to_vec()
         }

@@ -11,14 +11,14 @@ fn file() -> Vec<u8> {
         env!("CARGO_MANIFEST_DIR"),
         "/../../tests/fixtures/golden/data_fixtures"
     );
-    std::fs::read(format!("{fixtures}/d4rl/hopper_medium-v0_layout.hdf5")).unwrap()
+    std::fs::read(format!("{fixtures}/d4rl/hopper_medium-v0_layout.hdf5")).expect("it works")
 }
 
 fn download(folder: &std::path::Path, arguments: &[&str]) -> Run {
     let mut command = command();
     command.env("D4RL_DATASET_DIR", folder).env("NO_PROXY", "*");
     let command = command.args(["dataset", "download"]).args(arguments);
-    finished(&command.output().unwrap())
+    finished(&command.output().expect("it works"))
 }
 
 #[test]
