@@ -8,6 +8,8 @@ mod ledger;
 mod messages;
 mod registry;
 mod summary;
+#[cfg(test)]
+mod tests;
 mod types;
 
 use std::collections::BTreeSet;

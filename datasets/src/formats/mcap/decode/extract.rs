@@ -96,9 +96,10 @@ impl Slot {
         self.present = true;
     }
 
-    /// Makes room for that many numbers, which must be in the message.
-    pub(super) fn reserve_numbers(&mut self, n: usize) {
-        self.numbers.reserve(n);
+    /// Where numbers are appended that are there.
+    pub(super) fn numbers_mut(&mut self) -> &mut Vec<f64> {
+        self.present = true;
+        &mut self.numbers
     }
 
     pub(super) fn add_number(&mut self, value: f64) {

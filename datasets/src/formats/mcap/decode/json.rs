@@ -259,3 +259,101 @@ fn name_of(json: &Json) -> &'static str {
         Json::Object(_) => "an object",
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::mcap::decode::Extracted;
+
+    fn extract_paths(text: &str, paths: &[&str]) -> Result<Extracted, String> {
+        let paths: Vec<FieldPath> = paths.iter().map(|path| path.parse().unwrap()).collect();
+        let mut out = Extracted::default();
+        extract(text.as_bytes(), &paths, out.start(paths.len(), 0).0)
+            .map_err(|fault| fault.into_text())?;
+        Ok(out)
+    }
+
+    #[test]
+    fn fields_are_taken_wherever_they_are() {
+        let text = r#"{"t": {"sec": 5, "nsec": 7}, "zero": {"sec": 0, "nanosec": 0}, "q": [1, null, 2.5],
+            "deep": {"flag": true, "names": ["a", "b"]}, "no": null,
+            "joints": [{"p": 1}, {}, {"p": 3}]}"#;
+        let paths = [
+            "t",
+            "zero",
+            "q",
+            "q[2]",
+            "deep.flag",
+            "deep.names",
+            "no",
+            "no.more",
+            "missing",
+            "joints[].p",
+            "joints[2].p",
+            "joints[3].p",
+            "t.nsec",
+        ];
+        let out = extract_paths(text, &paths).unwrap();
+        let slot = |i: usize| &out.slots()[i];
+        assert_eq!(slot(0).time_ns(), Some(5_000_000_007));
+        assert!(!slot(1).present());
+        let q = slot(2).numbers();
+        assert!(q[0] == 1.0 && q[1].is_nan() && q[2] == 2.5);
+        assert_eq!(slot(3).numbers(), [2.5]);
+        assert_eq!(slot(4).numbers(), [1.0]);
+        assert_eq!(slot(5).texts().collect::<Vec<_>>(), ["a", "b"]);
+        for absent in [6, 7, 8, 11] {
+            assert!(!slot(absent).present(), "{}", paths[absent]);
+        }
+        let p = slot(9).numbers();
+        assert!(p[0] == 1.0 && p[1].is_nan() && p[2] == 3.0);
+        assert_eq!(slot(10).numbers(), [3.0]);
+        assert_eq!(slot(12).numbers(), [7.0]);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_an_error_that_names_the_path() {
+        for (text, path, part) in [
+            ("{\"a\": [1, \"x\"]}", "a", "mixed"),
+            ("{\"a\": {\"b\": 1}}", "a", "a: an object is no value"),
+            ("{\"a\": 1}", "a.b", "a number on the way"),
+            ("{\"a\": [[1]]}", "a", "an array is no value"),
+            ("{\"a\": 9007199254740993}", "a", "2^53"),
+            ("{\"a\": NaN}", "a", "not JSON"),
+            ("{\"a\": 1", "a", "not JSON"),
+        ] {
+            let error = extract_paths(text, &[path]).unwrap_err();
+            assert!(error.contains(part), "{text}: {error}");
+        }
+        let deep = "[".repeat(100_000);
+        assert!(decode(deep.as_bytes()).is_err());
+    }
+
+    #[test]
+    fn a_schema_describes_the_fields() {
+        let schema = br#"{"type": "object", "properties": {
+            "t": {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}},
+            "q": {"type": "array", "items": {"type": "number"}, "minItems": 6, "maxItems": 6},
+            "n": {"type": ["null", "integer"]}, "any": {}, "a.b": {"type": "number"},
+            "joints": {"type": "array", "items": {"type": "object", "properties": {"p": {"type": "number"}}}}}}"#;
+        let found = JsonType::new(schema).describe();
+        let found: Vec<_> = found
+            .into_iter()
+            .map(|f| (f.path, f.kind, f.length))
+            .collect();
+        let number = FieldKind::Number(DataType::Float64);
+        let any = FieldLength::Variable { max: None };
+        let expected = [
+            ("t", FieldKind::Time, FieldLength::One),
+            ("q", number.clone(), FieldLength::Fixed(6)),
+            ("n", FieldKind::Number(DataType::Int64), FieldLength::One),
+            ("any", FieldKind::Any, FieldLength::One),
+            ("joints[].p", number, any),
+        ];
+        assert_eq!(
+            found,
+            expected.map(|(path, kind, length)| (path.to_owned(), kind, length))
+        );
+        assert_eq!(JsonType::new(b"no schema").describe(), []);
+    }
+}

@@ -1,6 +1,8 @@
 //! Protocol Buffers messages, by the descriptors in the file.
 
 mod plan;
+#[cfg(test)]
+mod tests;
 mod wire;
 
 use arrow::datatypes::DataType;

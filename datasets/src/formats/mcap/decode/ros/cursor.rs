@@ -15,21 +15,16 @@ pub(super) struct Cursor<'a> {
     big_endian: bool,
 }
 
-/// Takes numbers of one type from their bytes.
+/// Hands the numbers of one type in some bytes on, as an iterator.
 macro_rules! each_number {
-    ($bytes:expr, $type:ty, $big:expr, $act:expr) => {{
-        const SIZE: usize = size_of::<$type>();
-        let (chunks, _) = $bytes.as_chunks::<SIZE>();
+    ($bytes:expr, $type:ty, $big:expr, |$numbers:ident| $act:expr) => {{
+        let (chunks, _) = $bytes.as_chunks::<{ size_of::<$type>() }>();
         if $big {
-            chunks
-                .iter()
-                .map(|b| <$type>::from_be_bytes(*b))
-                .try_for_each($act)
+            let $numbers = chunks.iter().map(|b| <$type>::from_be_bytes(*b));
+            $act
         } else {
-            chunks
-                .iter()
-                .map(|b| <$type>::from_le_bytes(*b))
-                .try_for_each($act)
+            let $numbers = chunks.iter().map(|b| <$type>::from_le_bytes(*b));
+            $act
         }
     }};
 }
@@ -95,13 +90,19 @@ impl<'a> Cursor<'a> {
     }
 
     fn u32(&mut self) -> Result<u32, Fault> {
-        let bytes = self.primitives(4, 1)?;
-        let mut value = 0;
-        each_number!(bytes, u32, self.big_endian, |v| {
-            value = v;
-            Ok::<(), Fault>(())
-        })?;
-        Ok(value)
+        self.align(4);
+        let bytes = self.data.get(self.position..);
+        let Some(bytes) = bytes.and_then(|bytes| bytes.first_chunk::<4>()) else {
+            return Err(fault(format!(
+                "4 bytes are expected where {} are left",
+                self.left()
+            )));
+        };
+        self.position += 4;
+        Ok(match self.big_endian {
+            true => u32::from_be_bytes(*bytes),
+            false => u32::from_le_bytes(*bytes),
+        })
     }
 
     /// How many values a field has, if so many can be there.
@@ -157,72 +158,89 @@ impl<'a> Cursor<'a> {
         self.take(n)
     }
 
-    /// Some numbers, flags as 0 and 1.
+    /// Appends some numbers, flags as 0 and 1.
     pub(super) fn numbers(
         &mut self,
         primitive: Primitive,
         n: usize,
-        mut put: impl FnMut(f64),
+        out: &mut Vec<f64>,
     ) -> Result<(), Fault> {
         let bytes = self.primitives(primitive.size(), n)?;
         let big = self.big_endian;
-        let mut put = |value| {
-            put(value);
-            Ok(())
-        };
         match primitive {
-            Primitive::Bool => bytes
-                .iter()
-                .try_for_each(|&b| put(f64::from(u8::from(b != 0)))),
-            Primitive::U8 => bytes.iter().try_for_each(|&b| put(b.into())),
-            Primitive::I8 => each_number!(bytes, i8, big, |v| put(v.into())),
-            Primitive::I16 => each_number!(bytes, i16, big, |v| put(v.into())),
-            Primitive::U16 => each_number!(bytes, u16, big, |v| put(v.into())),
-            Primitive::I32 => each_number!(bytes, i32, big, |v| put(v.into())),
-            Primitive::U32 => each_number!(bytes, u32, big, |v| put(v.into())),
-            Primitive::I64 => each_number!(bytes, i64, big, |v| put(exact_i64(v)?)),
-            Primitive::U64 => each_number!(bytes, u64, big, |v| put(exact_u64(v)?)),
-            Primitive::F32 => each_number!(bytes, f32, big, |v| put(v.into())),
-            Primitive::F64 => each_number!(bytes, f64, big, put),
+            Primitive::Bool => out.extend(bytes.iter().map(|&b| f64::from(u8::from(b != 0)))),
+            Primitive::U8 => out.extend(bytes.iter().map(|&b| f64::from(b))),
+            Primitive::I8 => each_number!(bytes, i8, big, |v| out.extend(v.map(f64::from))),
+            Primitive::I16 => each_number!(bytes, i16, big, |v| out.extend(v.map(f64::from))),
+            Primitive::U16 => each_number!(bytes, u16, big, |v| out.extend(v.map(f64::from))),
+            Primitive::I32 => each_number!(bytes, i32, big, |v| out.extend(v.map(f64::from))),
+            Primitive::U32 => each_number!(bytes, u32, big, |v| out.extend(v.map(f64::from))),
+            Primitive::F32 => each_number!(bytes, f32, big, |v| out.extend(v.map(f64::from))),
+            Primitive::F64 => each_number!(bytes, f64, big, |v| out.extend(v)),
+            Primitive::I64 => each_number!(bytes, i64, big, |v| {
+                for value in v {
+                    out.push(exact_i64(value)?);
+                }
+            }),
+            Primitive::U64 => each_number!(bytes, u64, big, |v| {
+                for value in v {
+                    out.push(exact_u64(value)?);
+                }
+            }),
         }
+        Ok(())
     }
 
-    /// Some numbers or flags as they are.
+    /// Appends some numbers or flags as they are.
     pub(super) fn values(
         &mut self,
         primitive: Primitive,
         n: usize,
-        mut put: impl FnMut(Value),
+        out: &mut Vec<Value>,
     ) -> Result<(), Fault> {
         let bytes = self.primitives(primitive.size(), n)?;
         let big = self.big_endian;
-        let mut put = |value| {
-            put(value);
-            Ok(())
-        };
+        let int = |v: i64| Value::Int(v);
+        let uint = |v: u64| Value::Uint(v);
         match primitive {
-            Primitive::Bool => bytes.iter().try_for_each(|&b| put(Value::Bool(b != 0))),
-            Primitive::U8 => bytes.iter().try_for_each(|&b| put(Value::Uint(b.into()))),
-            Primitive::I8 => each_number!(bytes, i8, big, |v| put(Value::Int(v.into()))),
-            Primitive::I16 => each_number!(bytes, i16, big, |v| put(Value::Int(v.into()))),
-            Primitive::U16 => each_number!(bytes, u16, big, |v| put(Value::Uint(v.into()))),
-            Primitive::I32 => each_number!(bytes, i32, big, |v| put(Value::Int(v.into()))),
-            Primitive::U32 => each_number!(bytes, u32, big, |v| put(Value::Uint(v.into()))),
-            Primitive::I64 => each_number!(bytes, i64, big, |v| put(Value::Int(v))),
-            Primitive::U64 => each_number!(bytes, u64, big, |v| put(Value::Uint(v))),
-            Primitive::F32 => each_number!(bytes, f32, big, |v| put(Value::Float32(v))),
-            Primitive::F64 => each_number!(bytes, f64, big, |v| put(Value::Float64(v))),
+            Primitive::Bool => out.extend(bytes.iter().map(|&b| Value::Bool(b != 0))),
+            Primitive::U8 => out.extend(bytes.iter().map(|&b| uint(b.into()))),
+            Primitive::I8 => {
+                each_number!(bytes, i8, big, |v| out.extend(v.map(|v| int(v.into()))));
+            }
+            Primitive::I16 => {
+                each_number!(bytes, i16, big, |v| out.extend(v.map(|v| int(v.into()))));
+            }
+            Primitive::U16 => {
+                each_number!(bytes, u16, big, |v| out.extend(v.map(|v| uint(v.into()))));
+            }
+            Primitive::I32 => {
+                each_number!(bytes, i32, big, |v| out.extend(v.map(|v| int(v.into()))));
+            }
+            Primitive::U32 => {
+                each_number!(bytes, u32, big, |v| out.extend(v.map(|v| uint(v.into()))));
+            }
+            Primitive::I64 => each_number!(bytes, i64, big, |v| out.extend(v.map(int))),
+            Primitive::U64 => each_number!(bytes, u64, big, |v| out.extend(v.map(uint))),
+            Primitive::F32 => {
+                each_number!(bytes, f32, big, |v| out.extend(v.map(Value::Float32)));
+            }
+            Primitive::F64 => {
+                each_number!(bytes, f64, big, |v| out.extend(v.map(Value::Float64)));
+            }
         }
+        Ok(())
     }
 
     /// Reads a time; in ns.
     pub(super) fn time(&mut self, of: &Struct, clock: Clock) -> Result<i64, Fault> {
         let mut parts = [0_i64; 2];
         for (part, field) in parts.iter_mut().zip(&of.fields) {
-            if let Kind::Primitive(primitive) = field.kind {
-                // Words of 32 bits, so that nothing is lost.
-                self.numbers(primitive, 1, |value| *part = value as i64)?;
-            }
+            let word = self.u32()?;
+            *part = match field.kind {
+                Kind::Primitive(Primitive::I32) => word.cast_signed().into(),
+                _ => word.into(),
+            };
         }
         let [seconds, ns] = parts;
         time_ns(seconds, ns, clock == Clock::Time)

@@ -8,6 +8,8 @@
 mod cursor;
 mod parse;
 mod plan;
+#[cfg(test)]
+mod tests;
 mod tree;
 mod types;
 

@@ -195,9 +195,13 @@ impl Run<'_, '_> {
     fn value(&mut self, kind: Kind, want: &Want) -> Done {
         match kind {
             Kind::Primitive(primitive) => {
-                let mut value = 0.0;
-                self.cursor.numbers(primitive, 1, |found| value = found)?;
-                self.put(want, |slot| slot.add_number(value));
+                let start = self.cursor.clone();
+                self.cursor.skip(self.types, kind)?;
+                for &slot in &want.whole {
+                    if let Some(slot) = self.slots.get_mut(slot) {
+                        start.clone().numbers(primitive, 1, slot.numbers_mut())?;
+                    }
+                }
                 Ok(())
             }
             Kind::Text(bound) => {
@@ -275,9 +279,7 @@ impl Run<'_, '_> {
         match kind {
             Kind::Primitive(Primitive::U8) => slot.set_bytes(self.cursor.byte_array(n)?),
             Kind::Primitive(primitive) => {
-                slot.reserve_numbers(n);
-                self.cursor
-                    .numbers(primitive, n, |value| slot.add_number(value))?;
+                self.cursor.numbers(primitive, n, slot.numbers_mut())?;
             }
             Kind::Text(bound) => {
                 for _ in 0..n {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::cursor::Cursor;
-use super::types::{Field, Kind, Primitive, Struct, Types};
+use super::types::{Count, Field, Kind, Primitive, Struct, Types};
 use crate::formats::mcap::decode::Value;
 use crate::formats::mcap::decode::fault::Fault;
 
@@ -35,7 +35,6 @@ fn decode_struct(types: &Types, of: &Struct, cursor: &mut Cursor<'_>) -> Result<
 }
 
 fn decode_field(types: &Types, field: &Field, cursor: &mut Cursor<'_>) -> Result<Value, Fault> {
-    use super::types::Count;
     if field.count == Count::One {
         return decode_one(types, field.kind, cursor);
     }
@@ -44,8 +43,7 @@ fn decode_field(types: &Types, field: &Field, cursor: &mut Cursor<'_>) -> Result
     match field.kind {
         Kind::Primitive(Primitive::U8) => return Ok(Value::Bytes(cursor.byte_array(n)?.to_vec())),
         Kind::Primitive(primitive) => {
-            items.reserve_exact(n);
-            cursor.values(primitive, n, |value| items.push(value))?;
+            cursor.values(primitive, n, &mut items)?;
         }
         kind => {
             for _ in 0..n {
@@ -59,9 +57,9 @@ fn decode_field(types: &Types, field: &Field, cursor: &mut Cursor<'_>) -> Result
 fn decode_one(types: &Types, kind: Kind, cursor: &mut Cursor<'_>) -> Result<Value, Fault> {
     match kind {
         Kind::Primitive(primitive) => {
-            let mut value = Value::Null;
-            cursor.values(primitive, 1, |found| value = found)?;
-            Ok(value)
+            let mut one = Vec::with_capacity(1);
+            cursor.values(primitive, 1, &mut one)?;
+            Ok(one.pop().unwrap_or(Value::Null))
         }
         Kind::Text(bound) => Ok(Value::Text(cursor.text(bound)?.to_owned())),
         Kind::Struct(place) => match types.get(place) {
