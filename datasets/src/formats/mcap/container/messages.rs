@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::attachment;
 use super::body::Body;
-use super::chunk::{ChunkHead, Records, Unpacker, bad_crc};
+use super::chunk::{ChunkHead, MAX_CHUNK, Records, Unpacker, bad_crc};
 use super::frames::{Frame, Frames, MAGIC, RECORD_HEAD, Step};
 use super::ledger::Ledger;
 use super::op;
@@ -19,7 +19,8 @@ use crate::source::Warning;
 
 /// A pass over the messages of a [`Recording`].
 ///
-/// Memory: one chunk, compressed and not, and the definitions. A chunk is checked whole (its CRC, and that it
+/// Memory: one chunk, compressed and not, and the definitions; records and chunks of more than 1 GiB are
+/// refused. A chunk is checked whole (its CRC, and that it
 /// is records from end to end) before the first of its messages is given out. The messages of a file without
 /// chunks are checked by the CRC of the whole data section, where it has one: when they have been read.
 #[derive(Debug)]
@@ -188,6 +189,15 @@ impl Messages {
     /// A record between the chunks.
     fn record(&mut self, frame: &Frame) -> Result<Option<Found>> {
         let offset = frame.offset;
+        let is_data = |opcode| opcode != op::ATTACHMENT && opcode <= op::DATA_END;
+        if frame.length > MAX_CHUNK && is_data(frame.opcode) {
+            let large = DatasetError::corrupt(format!(
+                "the record at offset {offset} has {} bytes, more than the {MAX_CHUNK} that are read",
+                frame.length
+            ));
+            self.ledger.survive::<()>(Err(large))?;
+            return self.frames.skip(frame).map(|()| None);
+        }
         match frame.opcode {
             op::CHUNK => self.chunk(frame)?,
             op::MESSAGE => {

@@ -248,7 +248,7 @@ fn damaged_messages_are_refused() {
         vec![4 << 3 | 2, 1, 0xFF],
         varint(4, 1),
         vec![20 << 3 & 0x7F | 7],
-        vec![0xA3, 1].repeat(200),
+        [0xA3, 1].repeat(200),
     ] {
         assert!(extract(&data, &["s", "z"]).is_err(), "{data:?}");
     }
