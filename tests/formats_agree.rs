@@ -3,11 +3,13 @@
 
 #![expect(clippy::unwrap_used, reason = "a test stops where a step fails")]
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use hdf5_metno::{File, Group, H5Type};
 use ksim::{KMeans, KSim, Report, Search, Trajectories};
-use ksim_datasets::{DatasetSink, OpenOptions, ParquetSink, TransitionOptions, TransitionReader};
+use ksim_datasets::convert::{ConvertOptions, convert};
+use ksim_datasets::{Format, OpenOptions, TransitionOptions, TransitionReader};
 use ndarray::{Array2, ArrayView, Dimension};
 
 const STATE_DIM: usize = 12;
@@ -127,22 +129,36 @@ fn write_minari(episodes: &[Episode], folder: &Path) -> PathBuf {
     dataset
 }
 
-/// What the Minari folder holds, as Parquet.
-fn write_parquet(minari: &Path, folder: &Path) -> PathBuf {
-    let path = folder.join("copy.parquet");
+/// What the Minari folder holds, in every format we write.
+fn write_converted(minari: &Path, folder: &Path) -> Vec<PathBuf> {
+    let formats = [
+        (Format::Parquet, "copy.parquet"),
+        (Format::ArrowIpc, "copy.arrow"),
+        (Format::D4rlHdf5, "copy.hdf5"),
+        (Format::MinariHdf5, "hdf5-v0"),
+        (Format::MinariArrow, "arrow-v0"),
+        (Format::MinariParquet, "parquet-v0"),
+        (Format::LeRobot, "lerobot"),
+        (Format::Mcap, "copy.mcap"),
+    ];
     let source = ksim_datasets::open(minari, &OpenOptions::default()).unwrap();
-    let mut sink = ParquetSink::create(&path, source.schema()).unwrap();
-    ksim_datasets::copy(source.as_ref(), &mut sink).unwrap();
-    Box::new(sink).finish().unwrap();
-    path
+    let write = |(format, name): (Format, &str)| {
+        let path = folder.join(name);
+        let options = ConvertOptions::new(format);
+        let go_on = &mut |_| ControlFlow::Continue(());
+        convert(source.as_ref(), &path, &options, go_on).unwrap();
+        path
+    };
+    formats.into_iter().map(write).collect()
 }
 
 /// Every file form of the same episodes.
-fn write_all(episodes: &[Episode], folder: &Path) -> [PathBuf; 3] {
+fn write_all(episodes: &[Episode], folder: &Path) -> Vec<PathBuf> {
     std::fs::create_dir_all(folder).unwrap();
     let minari = write_minari(episodes, folder);
-    let parquet = write_parquet(&minari, folder);
-    [write_d4rl(episodes, folder), minari, parquet]
+    let mut all = write_converted(&minari, folder);
+    all.extend([write_d4rl(episodes, folder), minari]);
+    all
 }
 
 fn read(path: &Path, state_columns: Option<Vec<usize>>) -> Trajectories {
