@@ -163,6 +163,27 @@ pub enum Warning {
         /// The recorded version.
         found: String,
     },
+    /// A version that is newer than those this crate was checked with.
+    NewerVersion {
+        /// The recorded version.
+        found: String,
+    },
+    /// Metadata that this crate does not know and passes over.
+    UnknownKeys {
+        /// The file, inside the dataset folder.
+        file: &'static str,
+        /// Its unknown keys.
+        keys: String,
+    },
+    /// A column has another type than its metadata say; it is read as it is.
+    DtypeMismatch {
+        /// The column or feature.
+        column: String,
+        /// The type in the metadata.
+        declared: String,
+        /// The type in the data.
+        actual: String,
+    },
     /// A count of the metadata differs from the data, which is believed.
     CountMismatch {
         /// What is counted.
@@ -233,6 +254,17 @@ impl fmt::Display for Warning {
                     f,
                     "written by Minari {found}, which this reader was not checked with"
                 )
+            }
+            Self::NewerVersion { found } => {
+                write!(f, "version {found} is newer than this reader")
+            }
+            Self::UnknownKeys { file, keys } => write!(f, "{file} has unknown keys: {keys}"),
+            Self::DtypeMismatch {
+                column,
+                declared,
+                actual,
+            } => {
+                write!(f, "\"{column}\" is declared as {declared} but holds {actual}; the data is believed")
             }
             Self::CountMismatch {
                 what,

@@ -3,11 +3,12 @@
 use std::collections::{HashMap, HashSet};
 
 use arrow::array::{
-    Array, ArrayRef, AsArray, BooleanArray, FixedSizeListArray, Int64Array, OffsetSizeTrait,
+    Array, ArrayRef, AsArray, FixedSizeListArray, Int64Array,
 };
-use arrow::datatypes::{ArrowNativeType, DataType, Float64Type, Int64Type};
+use arrow::datatypes::{ArrowNativeType, DataType, Int64Type};
 
-use super::columns::{ColumnPlan, Conversion, Role};
+use super::columns::{ColumnPlan, Conversion};
+use super::place::{Place, first_null};
 use crate::error::{DatasetError, Result};
 use crate::schema;
 
@@ -95,7 +96,7 @@ impl EpisodeNames {
         array: &ArrayRef,
         first_row: u64,
     ) -> Result<ArrayRef> {
-        let place = Place { name, first_row };
+        let place = Place::new(name, first_row);
         let text = arrow::compute::cast(array, &DataType::Utf8)
             .map_err(DatasetError::arrow("read a text column"))?;
         if let Some(row) = first_null(&text) {
@@ -127,7 +128,7 @@ pub(crate) fn convert(
     array: &ArrayRef,
     first_row: u64,
 ) -> Result<ArrayRef> {
-    let place = Place { name, first_row };
+    let place = Place::new(name, first_row);
     match plan.conversion {
         Conversion::Index => place.index(array),
         // Numbered over all batches by `EpisodeNames`.
@@ -138,156 +139,32 @@ pub(crate) fn convert(
                 return Err(place.wrong_type(array));
             };
             let width = usize::try_from(*width).unwrap_or(0);
-            let list = match array.data_type() {
-                DataType::List(_) => place.fixed(array.as_list::<i32>(), width, plan)?,
-                DataType::LargeList(_) => place.fixed(array.as_list::<i64>(), width, plan)?,
-                _ => return Err(place.wrong_type(array)),
-            };
-            place.check_nulls(&list, plan)?;
+            let list = fixed(place, array, width, plan)?;
+            place.check_nulls(&list, plan.role)?;
             Ok(list)
         }
         Conversion::None => {
-            place.check_nulls(array, plan)?;
+            place.check_nulls(array, plan.role)?;
             relabel(array, plan)
         }
     }
 }
 
-/// A column and the file row its batch starts at.
-struct Place<'a> {
-    name: &'a str,
-    first_row: u64,
-}
-
-impl Place<'_> {
-    fn row(&self, row: usize) -> u64 {
-        self.first_row + row as u64
-    }
-
-    fn null(&self, row: usize) -> DatasetError {
-        DatasetError::NullValue {
-            column: self.name.to_owned(),
-            row: self.row(row),
-        }
-    }
-
-    fn wrong_type(&self, array: &ArrayRef) -> DatasetError {
-        DatasetError::WrongType {
-            key: self.name.to_owned(),
-            actual: array.data_type().to_string(),
-            expected: "the type of the file's schema",
-        }
-    }
-
-    fn index(&self, array: &ArrayRef) -> Result<ArrayRef> {
-        // A cast turns what does not fit into a null.
-        let cast = arrow::compute::cast(array, &DataType::Int64)
-            .map_err(DatasetError::arrow("read an integer column"))?;
-        match first_null(&cast) {
-            Some(row) => Err(self.null(row)),
-            None => Ok(cast),
-        }
-    }
-
-    fn flag(&self, array: &ArrayRef) -> Result<ArrayRef> {
-        if *array.data_type() == DataType::Boolean {
-            return Ok(array.clone());
-        }
-        let numbers = arrow::compute::cast(array, &DataType::Float64)
-            .map_err(DatasetError::arrow("read a flag column"))?;
-        let numbers = numbers.as_primitive::<Float64Type>();
-        let mut flags = Vec::with_capacity(numbers.len());
-        for (row, value) in numbers.iter().enumerate() {
-            if value.is_some_and(f64::is_nan) {
-                return Err(DatasetError::NanFlag {
-                    column: self.name.to_owned(),
-                    row: self.row(row),
-                });
-            }
-            flags.push(value.map(|value| value != 0.0));
-        }
-        Ok(std::sync::Arc::new(BooleanArray::from(flags)))
-    }
-
-    fn fixed<O: OffsetSizeTrait>(
-        &self,
-        list: &arrow::array::GenericListArray<O>,
-        width: usize,
-        plan: &ColumnPlan,
-    ) -> Result<ArrayRef> {
-        for row in (0..list.len()).filter(|&row| !list.is_null(row)) {
-            let actual = list.value_length(row).as_usize();
-            if actual != width {
-                let (column, row) = (self.name.to_owned(), self.row(row));
-                return Err(DatasetError::RaggedList {
-                    column,
-                    row,
-                    actual,
-                    expected: width,
-                });
-            }
-        }
-        let DataType::FixedSizeList(child, size) = plan.field.data_type() else {
-            return Err(DatasetError::corrupt("a list column changed its type"));
-        };
-        let values = if list.null_count() == 0 {
-            let start = list.value_offsets()[0].as_usize();
-            list.values().slice(start, list.len() * width)
-        } else {
-            self.spread(list, width)?
-        };
-        let array = FixedSizeListArray::try_new_with_length(
-            child.clone(),
-            *size,
-            values,
-            list.nulls().cloned(),
-            list.len(),
-        );
-        Ok(std::sync::Arc::new(
-            array.map_err(DatasetError::arrow("read a list column"))?,
-        ))
-    }
-
-    /// The values with room for the null rows.
-    fn spread<O: OffsetSizeTrait>(
-        &self,
-        list: &arrow::array::GenericListArray<O>,
-        width: usize,
-    ) -> Result<ArrayRef> {
-        let mut take: Vec<Option<i64>> = Vec::with_capacity(list.len() * width);
-        for row in 0..list.len() {
-            let start = list.value_offsets()[row].as_usize();
-            let null = list.is_null(row);
-            take.extend((start..start + width).map(|i| i64::try_from(i).ok().filter(|_| !null)));
-        }
-        arrow::compute::take(list.values(), &Int64Array::from(take), None)
-            .map_err(DatasetError::arrow("read a list column"))
-    }
-
-    /// Observations have no nulls; lists have none inside a row that is there.
-    fn check_nulls(&self, array: &ArrayRef, plan: &ColumnPlan) -> Result<()> {
-        if plan.role == Role::Observation
-            && let Some(row) = first_null(array)
-        {
-            return Err(self.null(row));
-        }
-        if plan.role == Role::Other {
-            return Ok(());
-        }
-        let Some(list) = array.as_fixed_size_list_opt() else {
-            return Ok(());
-        };
-        let width = usize::try_from(list.value_length()).unwrap_or(0);
-        let Some(nulls) = list.values().nulls().filter(|nulls| nulls.null_count() > 0) else {
-            return Ok(());
-        };
-        let start = usize::try_from(list.value_offset(0)).unwrap_or(0);
-        let inside = |row: usize| (0..width).any(|i| nulls.is_null(start + row * width + i));
-        match (0..list.len()).find(|&row| !list.is_null(row) && inside(row)) {
-            Some(row) => Err(self.null(row)),
-            None => Ok(()),
-        }
-    }
+/// A list column with the canonical field's width.
+fn fixed(place: Place<'_>, array: &ArrayRef, width: usize, plan: &ColumnPlan) -> Result<ArrayRef> {
+    let DataType::FixedSizeList(child, size) = plan.field.data_type() else {
+        return Err(DatasetError::corrupt("a list column changed its type"));
+    };
+    let list = FixedSizeListArray::try_new_with_length(
+        child.clone(),
+        *size,
+        place.list_values(array, width)?,
+        array.nulls().cloned(),
+        array.len(),
+    );
+    Ok(std::sync::Arc::new(
+        list.map_err(DatasetError::arrow("read a list column"))?,
+    ))
 }
 
 /// Gives the array the canonical field's type where only labels differ (the name of the list element).
@@ -297,11 +174,6 @@ fn relabel(array: &ArrayRef, plan: &ColumnPlan) -> Result<ArrayRef> {
     }
     arrow::compute::cast(array, plan.field.data_type())
         .map_err(DatasetError::arrow("read a column"))
-}
-
-fn first_null(array: &ArrayRef) -> Option<usize> {
-    let nulls = array.nulls().filter(|nulls| nulls.null_count() > 0)?;
-    (0..array.len()).find(|&row| nulls.is_null(row))
 }
 
 /// Checks that a null action stands only in the last row of its episode.
