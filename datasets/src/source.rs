@@ -264,7 +264,10 @@ impl fmt::Display for Warning {
                 declared,
                 actual,
             } => {
-                write!(f, "\"{column}\" is declared as {declared} but holds {actual}; the data is believed")
+                write!(
+                    f,
+                    "\"{column}\" is declared as {declared} but holds {actual}; the data is believed"
+                )
             }
             Self::CountMismatch {
                 what,

@@ -85,7 +85,9 @@ fn scalar(one: &ArrayRef, data_type: &DataType) -> Option<Value> {
         return Some(value.as_primitive::<Int64Type>().value(0).into());
     }
     if data_type.is_floating() {
-        let value = cast(&DataType::Float64)?.as_primitive::<Float64Type>().value(0);
+        let value = cast(&DataType::Float64)?
+            .as_primitive::<Float64Type>()
+            .value(0);
         let number = serde_json::Number::from_f64(value);
         return Some(number.map_or_else(|| Value::String(value.to_string()), Value::Number));
     }

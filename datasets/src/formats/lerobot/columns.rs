@@ -152,7 +152,9 @@ impl Columns {
             }
         }
         // Stable, so that features keep their order inside each part.
-        columns.columns.sort_by_key(|column| rank(column.field.name()));
+        columns
+            .columns
+            .sort_by_key(|column| rank(column.field.name()));
         Ok(columns)
     }
 
@@ -170,7 +172,10 @@ impl Columns {
             (_, "image", stored) => picture_column(feature, stored, first_picture(name)),
             (_, _, Some(stored)) => {
                 let text = stored == DataType::Utf8;
-                if declared.as_ref().is_some_and(|declared| *declared != stored) {
+                if declared
+                    .as_ref()
+                    .is_some_and(|declared| *declared != stored)
+                {
                     self.warnings.push(Warning::DtypeMismatch {
                         column: name.to_owned(),
                         declared: feature.dtype.clone(),
@@ -287,8 +292,15 @@ fn described(field: Field, feature: &Feature, was_flags: bool) -> Field {
     let mut metadata = field.metadata().clone();
     let width = feature.shape.iter().product::<usize>();
     let is_vector = feature.shape.len() <= 1;
-    if let Some(names) = feature.names.as_ref().filter(|names| is_vector && names.len() == width) {
-        metadata.insert(schema::NAMES.to_owned(), serde_json::json!(names).to_string());
+    if let Some(names) = feature
+        .names
+        .as_ref()
+        .filter(|names| is_vector && names.len() == width)
+    {
+        metadata.insert(
+            schema::NAMES.to_owned(),
+            serde_json::json!(names).to_string(),
+        );
     }
     for key in [schema::UNIT, schema::KIND] {
         if let Some(serde_json::Value::String(text)) = feature.info.get(key) {
@@ -325,8 +337,7 @@ fn picture_column(
         None => feature.shape.clone(),
     };
     let name = column_name(&feature.name, false);
-    let nullable = !schema::belongs_to(&name, schema::OBSERVATION);
-    let field = schema::image_field(&name, codec, &shape).with_nullable(nullable);
+    let field = schema::image_field(&name, codec, &shape);
     Ok(Column {
         feature: feature.name.clone(),
         field: Arc::new(field),
@@ -421,7 +432,12 @@ mod tests {
         }
         assert_eq!(column_name("next.reward", false), "info.next.reward");
         // What a short name would be mistaken for keeps its prefix.
-        for column in ["info.index", "info.observation.x", "info.next.reward", "info.t_ns"] {
+        for column in [
+            "info.index",
+            "info.observation.x",
+            "info.next.reward",
+            "info.t_ns",
+        ] {
             assert_eq!(feature_name(column, true).as_deref(), Some(column));
         }
     }

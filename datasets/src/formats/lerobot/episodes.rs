@@ -178,6 +178,14 @@ impl Episodes {
     }
 }
 
+/// Where a layout describes its episodes.
+pub(super) fn path(layout: Layout) -> &'static str {
+    match layout {
+        Layout::V2 => EPISODES_PATH_V2,
+        Layout::V3 => EPISODES_FOLDER,
+    }
+}
+
 fn of_line(line: &Map<String, Value>) -> Result<Described> {
     let integer = |key: &str| {
         line.get(key)
@@ -212,17 +220,22 @@ fn description_files(root: &Root, info: &Info) -> Result<Vec<String>> {
     if info.count("total_episodes") == Some(0) && !root.has(EPISODES_FOLDER) {
         return Ok(Vec::new());
     }
-    root.parquet_files(EPISODES_FOLDER)
+    let files = root.parquet_files(EPISODES_FOLDER)?;
+    if files.is_empty() && info.count("total_episodes") != Some(0) {
+        let error = DatasetError::NotADataset {
+            expected: "chunk-000/file-000.parquet with the episodes",
+            found: "no such file".to_owned(),
+        };
+        return Err(error.in_file(&root.join(EPISODES_FOLDER)));
+    }
+    Ok(files)
 }
 
 /// Everything else that is recorded about the episodes, by number.
 ///
 /// # Errors
 /// A file is missing or damaged; it is named.
-pub(super) fn attributes(
-    root: &Root,
-    info: &Info,
-) -> Result<BTreeMap<i64, Map<String, Value>>> {
+pub(super) fn attributes(root: &Root, info: &Info) -> Result<BTreeMap<i64, Map<String, Value>>> {
     let mut all = BTreeMap::new();
     match info.layout {
         Layout::V2 => files::json_lines(root, EPISODES_PATH_V2, |mut line| {
@@ -236,8 +249,9 @@ pub(super) fn attributes(
             for path in description_files(root, info)? {
                 let mut read = || -> Result<()> {
                     let file = ParquetFile::open(root, &path)?;
-                    let wanted =
-                        |name: &str| name == schema::EPISODE_INDEX || attributes::is_attribute(name);
+                    let wanted = |name: &str| {
+                        name == schema::EPISODE_INDEX || attributes::is_attribute(name)
+                    };
                     for batch in file.read(wanted, 1024)? {
                         let batch = batch?;
                         let numbers = integers(&batch, schema::EPISODE_INDEX)?;

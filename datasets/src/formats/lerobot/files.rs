@@ -85,8 +85,10 @@ impl ParquetFile {
     ) -> Result<Batches> {
         let fields = self.metadata.schema().fields().iter().enumerate();
         let roots = fields.filter(|(_, field)| wanted(field.name()));
-        let mask =
-            ProjectionMask::roots(self.metadata.parquet_schema(), roots.map(|(place, _)| place));
+        let mask = ProjectionMask::roots(
+            self.metadata.parquet_schema(),
+            roots.map(|(place, _)| place),
+        );
         let (groups, selection) = self.select(ranges);
         let reader = guard::decode(|| {
             ParquetRecordBatchReaderBuilder::new_with_metadata(self.file, self.metadata)

@@ -11,8 +11,7 @@ use crate::source::Warning;
 pub(super) const INFO_PATH: &str = "meta/info.json";
 /// Where episode files are by default, since v3.0 and before.
 pub(super) const DATA_PATH_V3: &str = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet";
-const DATA_PATH_V2: &str =
-    "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet";
+const DATA_PATH_V2: &str = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet";
 const KNOWN_KEYS: [&str; 17] = [
     "codebase_version",
     "robot_type",
@@ -181,7 +180,13 @@ fn feature(name: &str, value: &Value) -> Result<Feature> {
     };
     let dtype = match declared.get("dtype") {
         Some(Value::String(dtype)) => dtype.clone(),
-        other => return Err(wrong(&field("dtype"), other.unwrap_or(&Value::Null), "text")),
+        other => {
+            return Err(wrong(
+                &field("dtype"),
+                other.unwrap_or(&Value::Null),
+                "text",
+            ));
+        }
     };
     let recorded = declared.get("shape").unwrap_or(&Value::Null);
     let shape: Option<Vec<usize>> = serde_json::from_value(recorded.clone()).ok();
@@ -265,7 +270,10 @@ mod tests {
         assert_eq!(of("v3.7").unwrap().warnings.len(), 1);
         for refused in ["v1.6", "v2.2", "v4.0", "3.0", "", "v3"] {
             let error = of(refused).unwrap_err();
-            assert!(matches!(error, DatasetError::Unsupported { .. }), "{refused}");
+            assert!(
+                matches!(error, DatasetError::Unsupported { .. }),
+                "{refused}"
+            );
         }
     }
 

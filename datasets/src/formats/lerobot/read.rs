@@ -50,10 +50,9 @@ impl LeRobotSource {
         let mut declared = Info::read(&root, options.force)?;
         let mut warnings = std::mem::take(&mut declared.warnings);
         let mut episodes = Episodes::read(&root, &declared)?;
-        count_warnings(&declared, &episodes, &mut warnings);
-        let tasks = match episodes.places.is_empty()
-            && !root.has(Tasks::path(declared.layout))
-        {
+        let mut counts = check_counts(&root, &declared, &episodes, options.recover)?;
+        warnings.append(&mut counts);
+        let tasks = match episodes.places.is_empty() && !root.has(Tasks::path(declared.layout)) {
             true => Tasks::default(),
             false => Tasks::read(&root, declared.layout)?,
         };
@@ -86,7 +85,9 @@ impl LeRobotSource {
         let leaves = |root: &str| {
             let fields = self.columns.iter().map(|column| &column.field);
             let leaves = fields.filter(|field| schema::belongs_to(field.name(), root));
-            leaves.filter_map(|field| LeafSpec::of_field(field)).collect()
+            leaves
+                .filter_map(|field| LeafSpec::of_field(field))
+                .collect()
         };
         self.info.observation = leaves(schema::OBSERVATION);
         self.info.action = leaves(schema::ACTION);
@@ -156,7 +157,9 @@ impl LeRobotSource {
 
     fn episode_records(&self) -> Result<Vec<EpisodeRecord>> {
         let markers = [schema::REWARD, schema::TERMINATED, schema::TRUNCATED];
-        let has_marker = markers.iter().any(|name| self.schema.index_of(name).is_ok())
+        let has_marker = markers
+            .iter()
+            .any(|name| self.schema.index_of(name).is_ok())
             || action_column(&self.schema).is_ok();
         let mut records = match has_marker {
             true => (self as &dyn DatasetSource).derived_episodes()?,
@@ -182,26 +185,46 @@ fn folder_name(path: &Path) -> String {
         .unwrap_or_default()
 }
 
-fn count_warnings(declared: &Info, episodes: &Episodes, warnings: &mut Vec<Warning>) {
+/// Compares what `info.json` counts with the episodes that are described.
+///
+/// # Errors
+/// Fewer than it counts: descriptions are missing. In recovery that is a warning, as more always are.
+fn check_counts(
+    root: &Root,
+    declared: &Info,
+    episodes: &Episodes,
+    recover: bool,
+) -> Result<Vec<Warning>> {
+    let mut warnings = Vec::new();
     let n_episodes = episodes.places.len() as u64 + episodes.n_empty;
     let counts = [
         ("episodes", "total_episodes", n_episodes),
         ("steps", "total_frames", episodes.n_steps()),
     ];
     for (what, key, actual) in counts {
-        if let Some(recorded) = declared.count(key).filter(|recorded| *recorded != actual) {
-            warnings.push(Warning::CountMismatch {
-                what,
-                recorded,
+        let Some(recorded) = declared.count(key).filter(|recorded| *recorded != actual) else {
+            continue;
+        };
+        if actual < recorded && !recover {
+            let error = DatasetError::LengthMismatch {
+                key: what.to_owned(),
                 actual,
-            });
+                expected: recorded,
+            };
+            return Err(error.in_file(&root.join(episodes::path(declared.layout))));
         }
+        warnings.push(Warning::CountMismatch {
+            what,
+            recorded,
+            actual,
+        });
     }
     if episodes.n_empty > 0 {
         warnings.push(Warning::EmptyEpisodes {
             n_episodes: episodes.n_empty,
         });
     }
+    Ok(warnings)
 }
 
 /// The columns, as the first data file has them.
@@ -362,7 +385,9 @@ impl LeRobotScan<'_> {
             false => 0,
         };
         let row = declared.fold(stored.saturating_add(task), u64::saturating_add);
-        usize::try_from(BATCH_BYTES / row.max(1)).unwrap_or(1).max(1)
+        usize::try_from(BATCH_BYTES / row.max(1))
+            .unwrap_or(1)
+            .max(1)
     }
 
     fn read(&self, open: &mut OpenFile) -> Result<Option<RecordBatch>> {

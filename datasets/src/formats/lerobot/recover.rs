@@ -71,8 +71,13 @@ fn lose(
     warnings: &mut Vec<Warning>,
 ) {
     let all = episodes.places.iter().filter(|place| place.file == file);
-    let lost: Vec<i64> = all.filter(|place| is_lost(place)).map(|place| place.number).collect();
-    episodes.places.retain(|place| place.file != file || !is_lost(place));
+    let lost: Vec<i64> = all
+        .filter(|place| is_lost(place))
+        .map(|place| place.number)
+        .collect();
+    episodes
+        .places
+        .retain(|place| place.file != file || !is_lost(place));
     let (Some(first), Some(last)) = (lost.first(), lost.last()) else {
         return;
     };

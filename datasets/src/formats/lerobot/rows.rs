@@ -8,9 +8,7 @@ use arrow::array::{
 };
 use arrow::datatypes::{DataType, Float64Type, Int64Type};
 
-use super::columns::{
-    Column, Conversion, FRAME_INDEX, INDEX, TASK_INDEX, TIMESTAMP, value_type,
-};
+use super::columns::{Column, Conversion, FRAME_INDEX, INDEX, TASK_INDEX, TIMESTAMP, value_type};
 use super::episodes;
 use super::picture;
 use super::tasks::Tasks;
@@ -49,9 +47,17 @@ impl Rows<'_> {
         for run in &self.runs {
             let first = i64::try_from(run.first_step).unwrap_or(i64::MAX);
             episodes.resize(episodes.len() + run.n_rows, run.episode.number);
-            steps.extend((0i64..).take(run.n_rows).map(|row| first.saturating_add(row)));
+            steps.extend(
+                (0i64..)
+                    .take(run.n_rows)
+                    .map(|row| first.saturating_add(row)),
+            );
             let from = run.episode.first_index.saturating_add(first);
-            indices.extend((0i64..).take(run.n_rows).map(|row| from.saturating_add(row)));
+            indices.extend(
+                (0i64..)
+                    .take(run.n_rows)
+                    .map(|row| from.saturating_add(row)),
+            );
         }
         self.check(schema::EPISODE_INDEX, &episodes)?;
         self.check(FRAME_INDEX, &steps)?;

@@ -2,9 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use arrow::array::{
-    Array, ArrayRef, AsArray, FixedSizeListArray, Int64Array,
-};
+use arrow::array::{Array, ArrayRef, AsArray, FixedSizeListArray, Int64Array};
 use arrow::datatypes::{ArrowNativeType, DataType, Int64Type};
 
 use super::columns::{ColumnPlan, Conversion};

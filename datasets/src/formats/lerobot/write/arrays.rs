@@ -86,7 +86,10 @@ fn filled(feature: &Feature, values: &ArrayRef, rows: &ArrayRef) -> Result<(Arra
     let width = feature.width().max(1);
     let is_there = |i: usize| !rows.is_null(i / width) && !values.is_null(i);
     let mask: Vec<bool> = (0..values.len()).map(is_there).collect();
-    let n_filled = mask.chunks(width).filter(|row| row.contains(&false)).count() as u64;
+    let n_filled = mask
+        .chunks(width)
+        .filter(|row| row.contains(&false))
+        .count() as u64;
     let stand_in: ArrayRef = match values.data_type() {
         DataType::Float16 => Arc::new(Float16Array::from(vec![half::f16::NAN])),
         DataType::Float32 => Arc::new(Float32Array::from(vec![f32::NAN])),

@@ -1,5 +1,6 @@
 //! Parquet files as LeRobot writes them: snappy, with what pandas and `datasets` note in the schema.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::Path;
 
@@ -18,21 +19,19 @@ use crate::schema;
 /// Memory of a row group that is not written yet, at most (and one batch more).
 const GROUP_BYTES: usize = 32 << 20;
 
-/// Starts a file; the folder is made if it is not there.
+/// Starts a file; the folder is made if it is not there. What the schema's metadata say is noted in the footer
+/// and in the Arrow schema inside it, where pyarrow looks first.
 ///
 /// # Errors
 /// The system refuses.
-pub(super) fn start(
-    path: &Path,
-    schema: &SchemaRef,
-    notes: Vec<(&str, String)>,
-) -> Result<ArrowWriter<File>> {
+pub(super) fn start(path: &Path, schema: &SchemaRef) -> Result<ArrowWriter<File>> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(|e| DatasetError::io("create", e))?;
     }
     let file = File::create(path).map_err(|e| DatasetError::io("create", e))?;
-    let notes = notes.into_iter();
-    let notes = notes.map(|(key, value)| KeyValue::new(key.to_owned(), value));
+    let metadata: BTreeMap<_, _> = schema.metadata().iter().collect();
+    let notes = metadata.into_iter();
+    let notes = notes.map(|(key, value)| KeyValue::new(key.clone(), value.clone()));
     let mut properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
         .set_dictionary_enabled(false)

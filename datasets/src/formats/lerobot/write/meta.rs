@@ -23,9 +23,7 @@ use crate::sink::{Loss, LossEffect, WriteOptions};
 /// # Errors
 /// A failed write.
 pub(super) fn write_tasks(path: &Path, texts: &[String]) -> Result<()> {
-    let column = |name: &str, pandas: &str, numpy: &str| {
-        json!({"name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy, "metadata": null})
-    };
+    let column = |name: &str, pandas: &str, numpy: &str| json!({"name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy, "metadata": null});
     let note = json!({
         "index_columns": ["task"],
         "column_indexes": [{
@@ -40,17 +38,19 @@ pub(super) fn write_tasks(path: &Path, texts: &[String]) -> Result<()> {
         "creator": {"library": "pyarrow", "version": "21.0.0"},
         "pandas_version": "2.3.3",
     });
-    let schema = Arc::new(Schema::new(vec![
+    let fields = vec![
         Field::new(TASK_INDEX, DataType::Int64, true),
         Field::new("task", DataType::Utf8, true),
-    ]));
+    ];
+    let noted = [("pandas".to_owned(), note.to_string())];
+    let schema = Arc::new(Schema::new_with_metadata(fields, noted.into()));
     let columns: Vec<ArrayRef> = vec![
         Arc::new(Int64Array::from_iter_values((0i64..).take(texts.len()))),
         Arc::new(StringArray::from_iter_values(texts)),
     ];
     let batch = RecordBatch::try_new(Arc::clone(&schema), columns)
         .map_err(DatasetError::arrow("build a batch"))?;
-    let mut writer = files::start(path, &schema, vec![("pandas", note.to_string())])?;
+    let mut writer = files::start(path, &schema)?;
     files::write(&mut writer, &batch)?;
     files::finish(writer)
 }

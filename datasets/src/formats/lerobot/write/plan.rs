@@ -195,7 +195,10 @@ fn name(
 fn feature(field: &Field, source: usize) -> Result<Feature, &'static str> {
     let no_feature = "LeRobot has no feature of its type";
     let (value_type, shape) = schema::row_shape(field).ok_or(no_feature)?;
-    let was_flags = field.metadata().get(schema::SOURCE_DTYPE).is_some_and(|dtype| dtype == "bool");
+    let was_flags = field
+        .metadata()
+        .get(schema::SOURCE_DTYPE)
+        .is_some_and(|dtype| dtype == "bool");
     let value_type = match was_flags && value_type.is_integer() {
         true => DataType::Boolean,
         false => value_type,
@@ -241,12 +244,13 @@ fn feature(field: &Field, source: usize) -> Result<Feature, &'static str> {
 }
 
 /// The schema of data files, and what `datasets` notes in it.
-pub(super) fn file_schema(features: &[Feature]) -> (Arc<Schema>, String) {
+pub(super) fn file_schema(features: &[Feature]) -> Arc<Schema> {
     let fields: Vec<Field> = features.iter().map(Feature::field).collect();
     let noted: Map<String, Value> = features
         .iter()
         .map(|feature| (feature.name.clone(), feature.hugging_face()))
         .collect();
     let noted = json!({"info": {"features": noted}});
-    (Arc::new(Schema::new(fields)), noted.to_string())
+    let noted = [("huggingface".to_owned(), noted.to_string())];
+    Arc::new(Schema::new_with_metadata(fields, noted.into()))
 }

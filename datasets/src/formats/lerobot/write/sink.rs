@@ -50,7 +50,6 @@ pub(in crate::formats::lerobot) struct LeRobotSink {
     schema: SchemaRef,
     features: Vec<Feature>,
     file_schema: Arc<Schema>,
-    noted: String,
     /// A column that is null in final-observation rows only.
     marker: Option<String>,
     rate: Rate,
@@ -129,7 +128,13 @@ impl LeRobotSink {
         let has_time = schema.index_of(schema::T_NS).is_ok();
         let keeps_time = has_time && !rate.is_grid(&schema);
         let mut features = features(&schema, keeps_time, &mut losses);
-        let defaults = [TIMESTAMP, FRAME_INDEX, schema::EPISODE_INDEX, INDEX, TASK_INDEX];
+        let defaults = [
+            TIMESTAMP,
+            FRAME_INDEX,
+            schema::EPISODE_INDEX,
+            INDEX,
+            TASK_INDEX,
+        ];
         features.extend(defaults.map(|name| match name {
             TIMESTAMP => Feature::index(name, "float32"),
             name => Feature::index(name, "int64"),
@@ -140,9 +145,10 @@ impl LeRobotSink {
         let with_stats: Vec<&Feature> = with_stats
             .filter_map(|(feature, stats)| stats.as_ref().map(|_| feature))
             .collect();
-        let table_path = staged.path().join("meta/episodes/chunk-000/file-000.parquet");
+        let table_path = staged
+            .path()
+            .join("meta/episodes/chunk-000/file-000.parquet");
         let table = EpisodeTable::create(&table_path, &with_stats, input.episodes, &mut losses)?;
-        let (file_schema, noted) = file_schema(&features);
         Ok(Self {
             marker: marker(&schema),
             robot_type: meta::robot_type(&schema, options),
@@ -153,9 +159,8 @@ impl LeRobotSink {
             episode_tasks: meta::episode_tasks(input.episodes),
             staged,
             schema,
+            file_schema: file_schema(&features),
             features,
-            file_schema,
-            noted,
             rate,
             waiting: Vec::new(),
             keeps_time,
@@ -183,7 +188,9 @@ impl LeRobotSink {
             return Ok(batch.clone());
         }
         self.counts.final_rows += marker.null_count() as u64;
-        let keep: BooleanArray = (0..marker.len()).map(|row| Some(!marker.is_null(row))).collect();
+        let keep: BooleanArray = (0..marker.len())
+            .map(|row| Some(!marker.is_null(row)))
+            .collect();
         filter_record_batch(batch, &keep).map_err(DatasetError::arrow("leave out rows"))
     }
 
@@ -222,7 +229,11 @@ impl LeRobotSink {
         let n_rows = i64::try_from(batch.num_rows()).unwrap_or(i64::MAX);
         let steps = || (first_step..).take(batch.num_rows());
         let recorded = column(batch, schema::STEP_INDEX)?.as_primitive::<Int64Type>();
-        let moved = recorded.values().iter().zip(steps()).filter(|(a, b)| **a != *b);
+        let moved = recorded
+            .values()
+            .iter()
+            .zip(steps())
+            .filter(|(a, b)| **a != *b);
         self.counts.renumbered_steps += moved.count() as u64;
         let tasks = self.task_numbers(batch)?;
         let first_index = self.n_steps;
@@ -278,8 +289,7 @@ impl LeRobotSink {
                 let path = format!("data/chunk-{chunk:03}/file-{file:03}.parquet");
                 let path = self.staged.path().join(path);
                 self.n_files += 1;
-                let notes = vec![("huggingface", self.noted.clone())];
-                files::start(&path, &self.file_schema, notes)?
+                files::start(&path, &self.file_schema)?
             }
         };
         Ok(self.data.insert(data))
@@ -354,7 +364,16 @@ impl LeRobotSink {
         let (chunk, file) = (place / CHUNK_FILES, place % CHUNK_FILES);
         let from = to - current.n_steps;
         self.table.add(EpisodeRow {
-            places: [self.n_episodes, current.n_steps, chunk, file, from, to, 0, 0],
+            places: [
+                self.n_episodes,
+                current.n_steps,
+                chunk,
+                file,
+                from,
+                to,
+                0,
+                0,
+            ],
             tasks: current.tasks,
             source_index: current.source_index,
             stats,
@@ -377,7 +396,9 @@ impl LeRobotSink {
 
     fn write_all(&mut self, batch: &RecordBatch) -> Result<()> {
         if batch.schema().fields() != self.schema.fields() {
-            return Err(DatasetError::corrupt("a batch has other columns than the first"));
+            return Err(DatasetError::corrupt(
+                "a batch has other columns than the first",
+            ));
         }
         let steps = self.steps(batch)?;
         if self.rate.is_known() || self.rate.estimate(&steps, &mut self.losses)? {
@@ -441,7 +462,10 @@ impl LeRobotSink {
         } = self;
         table.finish()?;
         meta::write_tasks(&staged.path().join(TASKS_PATH), &tasks.texts)?;
-        files::write_text(&meta.join("stats.json"), &meta::pretty(&Value::Object(stats))?)?;
+        files::write_text(
+            &meta.join("stats.json"),
+            &meta::pretty(&Value::Object(stats))?,
+        )?;
         files::write_text(&staged.path().join(INFO_PATH), &meta::pretty(&info)?)?;
         let target = staged.target().to_owned();
         staged.publish()?;
@@ -457,14 +481,27 @@ impl LeRobotSink {
         let mut counted = |item: &str, effect, count: u64, detail: String| {
             if count > 0 {
                 let count = Some(count);
-                self.losses.push(Loss { count, ..loss(item, effect, detail) });
+                self.losses.push(Loss {
+                    count,
+                    ..loss(item, effect, detail)
+                });
             }
         };
         let counts = &self.counts;
         let detail = "LeRobot has no observation after the last step";
-        counted("final observations", LossEffect::Dropped, counts.final_rows, detail.to_owned());
+        counted(
+            "final observations",
+            LossEffect::Dropped,
+            counts.final_rows,
+            detail.to_owned(),
+        );
         let detail = "steps are numbered from 0 without gaps";
-        counted(schema::STEP_INDEX, LossEffect::Changed, counts.renumbered_steps, detail.to_owned());
+        counted(
+            schema::STEP_INDEX,
+            LossEffect::Changed,
+            counts.renumbered_steps,
+            detail.to_owned(),
+        );
         let kept = match self.keeps_time {
             true => "`timestamp` is step / fps; the feature `t_ns` keeps the recorded time",
             false => "`timestamp` keeps the recorded time, to the precision of float32",

@@ -10,7 +10,14 @@ use super::sketch::{QUANTILES, Sketch};
 
 /// Names of what is recorded besides the count, in the order of [`Dimension::summary`].
 pub(super) const NAMES: [&str; 9] = [
-    "min", "max", "mean", "std", QUANTILES[0].0, QUANTILES[1].0, QUANTILES[2].0, QUANTILES[3].0,
+    "min",
+    "max",
+    "mean",
+    "std",
+    QUANTILES[0].0,
+    QUANTILES[1].0,
+    QUANTILES[2].0,
+    QUANTILES[3].0,
     QUANTILES[4].0,
 ];
 /// Values that all sketches keep on one level together, about.
@@ -178,7 +185,12 @@ mod tests {
         }
         let (whole, parts) = (whole.summary(), parts.summary());
         assert_eq!((whole.count, parts.count), (30, 30));
-        for (a, b) in whole.values.iter().flatten().zip(parts.values.iter().flatten()) {
+        for (a, b) in whole
+            .values
+            .iter()
+            .flatten()
+            .zip(parts.values.iter().flatten())
+        {
             assert!((a - b).abs() < 1e-12);
         }
         // The textbook's two passes.

@@ -100,7 +100,8 @@ impl EpisodeTable {
         for feature in features {
             let column = |stat: &str| format!("stats/{}/{stat}", feature.name);
             let depth = feature.shape.len();
-            let list = |stat| Field::new(column(stat), nested_type(&DataType::Float64, depth), true);
+            let list =
+                |stat| Field::new(column(stat), nested_type(&DataType::Float64, depth), true);
             fields.extend(NAMES.map(list));
             let count = nested_type(&DataType::Int64, 1);
             fields.push(Field::new(column("count"), count, true));
@@ -108,11 +109,14 @@ impl EpisodeTable {
         fields.extend(own.iter().map(|name| integer(name)));
         let schema = Arc::new(Schema::new(fields));
         Ok(Self {
-            writer: files::start(path, &schema, Vec::new())?,
+            writer: files::start(path, &schema)?,
             schema,
             rows: Vec::new(),
             extras,
-            shapes: features.iter().map(|feature| feature.shape.clone()).collect(),
+            shapes: features
+                .iter()
+                .map(|feature| feature.shape.clone())
+                .collect(),
         })
     }
 
@@ -197,12 +201,17 @@ impl Extras {
         let numbers = episodes.iter().map(|episode| episode.episode_index);
         let renumbered = numbers.zip(0..).any(|(number, place)| number != place);
         if renumbered {
-            let detail = format!("episodes are numbered from 0; `{SOURCE_INDEX}` of meta/episodes has their own numbers");
+            let detail = format!(
+                "episodes are numbered from 0; `{SOURCE_INDEX}` of meta/episodes has their own numbers"
+            );
             losses.push(loss("episode numbers", LossEffect::Changed, detail));
         }
         let seeds = episodes.iter().any(|episode| episode.seed.is_some());
         let records = match seeds || !attributes.is_empty() {
-            true => episodes.iter().map(|e| (e.episode_index, e.clone())).collect(),
+            true => episodes
+                .iter()
+                .map(|e| (e.episode_index, e.clone()))
+                .collect(),
             false => HashMap::new(),
         };
         Self {
@@ -246,7 +255,9 @@ impl Attribute {
             false => key.to_owned(),
         };
         let values = || {
-            let values = episodes.iter().filter_map(|episode| episode.attributes.get(key));
+            let values = episodes
+                .iter()
+                .filter_map(|episode| episode.attributes.get(key));
             values.filter(|value| !value.is_null())
         };
         let all = |is: fn(&Value) -> bool| values().all(is);
@@ -271,7 +282,9 @@ impl Attribute {
     }
 
     fn array(&self, values: &[Option<&Value>]) -> ArrayRef {
-        let values = values.iter().map(|value| value.filter(|value| !value.is_null()));
+        let values = values
+            .iter()
+            .map(|value| value.filter(|value| !value.is_null()));
         match self.field.data_type() {
             DataType::Boolean => Arc::new(values.map(|v| v?.as_bool()).collect::<BooleanArray>()),
             DataType::Int64 => Arc::new(values.map(|v| v?.as_i64()).collect::<Int64Array>()),
@@ -280,7 +293,11 @@ impl Attribute {
             _ if self.field.metadata().is_empty() => {
                 Arc::new(values.map(|v| v?.as_str()).collect::<StringArray>())
             }
-            _ => Arc::new(values.map(|v| Some(v?.to_string())).collect::<StringArray>()),
+            _ => Arc::new(
+                values
+                    .map(|v| Some(v?.to_string()))
+                    .collect::<StringArray>(),
+            ),
         }
     }
 }
