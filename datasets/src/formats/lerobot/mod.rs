@@ -14,6 +14,7 @@ mod read;
 mod recover;
 mod root;
 mod rows;
+mod scan;
 mod tasks;
 mod write;
 

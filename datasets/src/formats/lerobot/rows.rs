@@ -13,8 +13,8 @@ use super::episodes;
 use super::picture;
 use super::tasks::Tasks;
 use crate::error::{DatasetError, Result};
-use crate::formats::parquet::Role;
-use crate::formats::parquet::place::{Place, first_null};
+use crate::formats::tabular::Role;
+use crate::formats::tabular::place::{Place, first_null};
 use crate::schema;
 
 /// A run of rows of one episode inside a batch.

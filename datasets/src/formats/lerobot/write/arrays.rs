@@ -13,7 +13,7 @@ use arrow::datatypes::{DataType, Float64Type};
 use super::super::picture;
 use super::plan::{Feature, Form, picture_fields};
 use crate::error::{DatasetError, Result};
-use crate::formats::parquet::place::{Place, first_null};
+use crate::formats::tabular::place::{Place, first_null};
 use crate::schema;
 
 /// A converted column.

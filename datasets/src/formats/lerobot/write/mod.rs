@@ -4,6 +4,7 @@
 //! Memory: one row group of about 32 MiB, a batch, and the thinned-out values of the statistics.
 
 mod arrays;
+mod counts;
 mod files;
 mod meta;
 mod plan;
@@ -12,5 +13,6 @@ mod sink;
 mod sketch;
 mod stats;
 mod table;
+mod tasks;
 
 pub(super) use sink::LeRobotSink;

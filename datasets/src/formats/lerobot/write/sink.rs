@@ -1,27 +1,26 @@
 //! The sink.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use arrow::array::{
-    Array, ArrayRef, AsArray, BooleanArray, Float32Array, Int64Array, RecordBatch, StringArray,
-};
+use arrow::array::{Array, ArrayRef, AsArray, BooleanArray, Float32Array, Int64Array, RecordBatch};
 use arrow::compute::filter_record_batch;
 use arrow::datatypes::{DataType, Int64Type, Schema, SchemaRef};
 use parquet::arrow::ArrowWriter;
 use serde_json::{Map, Value, json};
 
-use super::super::columns::{FRAME_INDEX, INDEX, INFO_TASK, TASK_INDEX, TIMESTAMP};
+use super::super::columns::{FRAME_INDEX, INDEX, TASK_INDEX, TIMESTAMP};
 use super::super::info::{DATA_PATH_V3, INFO_PATH};
 use super::super::read::LeRobotSource;
 use super::super::rows::grid_ns;
 use super::super::tasks::TASKS_PATH;
 use super::arrays::{convert, numbers};
+use super::counts::Counts;
 use super::plan::{Feature, features, file_schema, loss};
 use super::rate::Rate;
 use super::stats::{FeatureStats, StatsRow, capacity};
 use super::table::{EpisodeRow, EpisodeTable};
+use super::tasks::Tasks;
 use super::{files, meta};
 use crate::episode::{action_column, column};
 use crate::error::{DatasetError, Result};
@@ -41,9 +40,6 @@ const GROUP_ROWS: usize = 128;
 const STATS_WIDTH: usize = 4096;
 /// Times further from the grid than LeRobot tolerates, in ns.
 const TOLERANCE_NS: i64 = 100_000;
-/// Text of the task where nothing else says it.
-const UNNAMED_TASK: &str = "unspecified task";
-
 /// Writes a LeRobot dataset of version 3.0.
 pub(in crate::formats::lerobot) struct LeRobotSink {
     staged: Staged,
@@ -57,8 +53,6 @@ pub(in crate::formats::lerobot) struct LeRobotSink {
     waiting: Vec<RecordBatch>,
     /// Whether `t_ns` is a feature, so that timestamps can be on the grid.
     keeps_time: bool,
-    default_task: (String, bool),
-    episode_tasks: BTreeMap<i64, String>,
     tasks: Tasks,
     data: Option<ArrowWriter<std::fs::File>>,
     n_files: i64,
@@ -79,35 +73,6 @@ struct Current {
     source_index: i64,
     n_steps: i64,
     tasks: Vec<String>,
-}
-
-/// Things that are counted while rows go by.
-#[derive(Default)]
-struct Counts {
-    final_rows: u64,
-    renumbered_steps: u64,
-    off_grid: u64,
-    default_tasks: u64,
-    filled: BTreeMap<String, u64>,
-}
-
-/// Texts of tasks, numbered as they appear.
-#[derive(Default)]
-struct Tasks {
-    numbers: BTreeMap<String, i64>,
-    texts: Vec<String>,
-}
-
-impl Tasks {
-    fn number(&mut self, text: &str) -> i64 {
-        if let Some(number) = self.numbers.get(text) {
-            return *number;
-        }
-        let number = i64::try_from(self.texts.len()).unwrap_or(i64::MAX);
-        self.numbers.insert(text.to_owned(), number);
-        self.texts.push(text.to_owned());
-        number
-    }
 }
 
 impl LeRobotSink {
@@ -152,11 +117,6 @@ impl LeRobotSink {
         Ok(Self {
             marker: marker(&schema),
             robot_type: meta::robot_type(&schema, options),
-            default_task: match &options.task {
-                Some(task) => (task.clone(), false),
-                None => (UNNAMED_TASK.to_owned(), true),
-            },
-            episode_tasks: meta::episode_tasks(input.episodes),
             staged,
             schema,
             file_schema: file_schema(&features),
@@ -164,7 +124,7 @@ impl LeRobotSink {
             rate,
             waiting: Vec::new(),
             keeps_time,
-            tasks: Tasks::default(),
+            tasks: Tasks::new(options.task.as_ref(), meta::episode_tasks(input.episodes)),
             data: None,
             n_files: 0,
             table,
@@ -235,7 +195,12 @@ impl LeRobotSink {
             .zip(steps())
             .filter(|(a, b)| **a != *b);
         self.counts.renumbered_steps += moved.count() as u64;
-        let tasks = self.task_numbers(batch)?;
+        let Some(current) = &mut self.current else {
+            return Err(DatasetError::corrupt("rows without an episode"));
+        };
+        let tasks = self
+            .tasks
+            .of_rows(batch, current.source_index, &mut current.tasks);
         let first_index = self.n_steps;
         let mut arrays: Vec<ArrayRef> = Vec::with_capacity(self.features.len());
         let n_columns = self.features.len() - 5;
@@ -293,33 +258,6 @@ impl LeRobotSink {
             }
         };
         Ok(self.data.insert(data))
-    }
-
-    /// Numbers of the tasks: by `info.task`, else by what the episode records, else the default.
-    fn task_numbers(&mut self, batch: &RecordBatch) -> Result<Vec<i64>> {
-        let texts = match batch.column_by_name(INFO_TASK) {
-            Some(column) if *column.data_type() == DataType::Utf8 => Arc::clone(column),
-            _ => Arc::new(StringArray::new_null(batch.num_rows())),
-        };
-        let Some(current) = &mut self.current else {
-            return Err(DatasetError::corrupt("rows without an episode"));
-        };
-        let of_episode = self.episode_tasks.get(&current.source_index);
-        let mut numbers = Vec::with_capacity(batch.num_rows());
-        for text in texts.as_string::<i32>() {
-            let text = text.or(of_episode.map(String::as_str));
-            let text = text.unwrap_or_else(|| {
-                self.counts.default_tasks += 1;
-                &self.default_task.0
-            });
-            numbers.push(self.tasks.number(text));
-            if current.tasks.last().is_none_or(|last| last != text)
-                && !current.tasks.iter().any(|task| task == text)
-            {
-                current.tasks.push(text.to_owned());
-            }
-        }
-        Ok(numbers)
     }
 
     /// Seconds of each step: on the grid, or as recorded where nothing else keeps the time.
@@ -441,7 +379,9 @@ impl LeRobotSink {
         self.release()?;
         self.end_episode()?;
         self.close_data()?;
-        self.count_losses();
+        let counted = self.counts.losses(self.rate.fps(), self.keeps_time);
+        self.losses.extend(counted);
+        self.losses.extend(self.tasks.loss());
         let meta = self.staged.path().join("meta");
         let mut stats = Map::new();
         for (feature, of_feature) in self.features.iter().zip(&self.stats) {
@@ -474,49 +414,6 @@ impl LeRobotSink {
             info: source.info().clone(),
             losses,
         })
-    }
-
-    fn count_losses(&mut self) {
-        let fps = self.rate.fps();
-        let mut counted = |item: &str, effect, count: u64, detail: String| {
-            if count > 0 {
-                let count = Some(count);
-                self.losses.push(Loss {
-                    count,
-                    ..loss(item, effect, detail)
-                });
-            }
-        };
-        let counts = &self.counts;
-        let detail = "LeRobot has no observation after the last step";
-        counted(
-            "final observations",
-            LossEffect::Dropped,
-            counts.final_rows,
-            detail.to_owned(),
-        );
-        let detail = "steps are numbered from 0 without gaps";
-        counted(
-            schema::STEP_INDEX,
-            LossEffect::Changed,
-            counts.renumbered_steps,
-            detail.to_owned(),
-        );
-        let kept = match self.keeps_time {
-            true => "`timestamp` is step / fps; the feature `t_ns` keeps the recorded time",
-            false => "`timestamp` keeps the recorded time, to the precision of float32",
-        };
-        let detail = format!("over 0.1 ms off the grid of {fps} steps per second: {kept}");
-        counted(schema::T_NS, LossEffect::Changed, counts.off_grid, detail);
-        let (task, invented) = &self.default_task;
-        if *invented {
-            let detail = format!("steps need a task: it is \"{task}\" where none is recorded");
-            counted("task", LossEffect::Invented, counts.default_tasks, detail);
-        }
-        for (column, count) in &counts.filled {
-            let detail = "LeRobot has no nulls: NaN, 0, false or no text stand in for them";
-            counted(column, LossEffect::Changed, *count, detail.to_owned());
-        }
     }
 }
 
