@@ -10,8 +10,7 @@ mod rows;
 mod scan;
 mod table;
 
-pub use names::ColumnNames;
-pub use columns::ColumnNames;
 pub(crate) use columns::Role;
+pub use names::ColumnNames;
 pub(crate) use scan::{TableReader, TableScan};
 pub(crate) use table::{FIRST_ROWS, Table};
