@@ -1,5 +1,6 @@
 //! Writing datasets.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 
@@ -70,6 +71,55 @@ impl LossEffect {
             Self::Changed => "changed",
             Self::Invented => "invented",
         }
+    }
+}
+
+impl Loss {
+    /// A loss that concerns everything of its kind.
+    pub(crate) fn new(
+        item: impl Into<String>,
+        effect: LossEffect,
+        detail: impl Into<String>,
+    ) -> Self {
+        Self {
+            item: item.into(),
+            effect,
+            detail: detail.into(),
+            count: None,
+        }
+    }
+}
+
+/// Losses that are met one by one and reported once, in the order of their items.
+#[derive(Debug, Default)]
+pub(crate) struct LossTally {
+    counts: BTreeMap<(String, LossEffect, String), u64>,
+}
+
+impl LossTally {
+    /// Notes a loss of `n` rows, episodes or what the item says; nothing if `n` is 0.
+    pub(crate) fn add(
+        &mut self,
+        item: impl Into<String>,
+        effect: LossEffect,
+        detail: impl Into<String>,
+        n: u64,
+    ) {
+        if n > 0 {
+            let key = (item.into(), effect, detail.into());
+            *self.counts.entry(key).or_default() += n;
+        }
+    }
+
+    /// The losses with their counts.
+    pub(crate) fn into_losses(self) -> impl Iterator<Item = Loss> {
+        let counts = self.counts.into_iter();
+        counts.map(|((item, effect, detail), count)| Loss {
+            item,
+            effect,
+            detail,
+            count: Some(count),
+        })
     }
 }
 

@@ -19,16 +19,4 @@ pub(crate) fn create_d4rl(
     })
 }
 
-/// Starts a Minari dataset folder.
-///
-/// # Errors
-/// The columns do not fit, or the folder cannot be made.
-pub(crate) fn create_minari(
-    _path: &Path,
-    _input: &SinkInput<'_>,
-    _options: &WriteOptions,
-) -> Result<Box<dyn DatasetSink>> {
-    Err(DatasetError::Unsupported {
-        what: "writing Minari HDF5".to_owned(),
-    })
-}
+pub(crate) use crate::formats::minari::create_hdf5 as create_minari;

@@ -1,6 +1,7 @@
 //! One module per file format, and what reads and writes HDF5 and MCAP in this build.
 
 pub(crate) mod d4rl;
+pub(crate) mod episode_rows;
 pub(crate) mod ipc;
 pub(crate) mod lerobot;
 pub(crate) mod minari;

@@ -13,6 +13,7 @@ use serde_json::Value;
 
 use super::file::failed;
 use crate::error::{DatasetError, LibraryMessage, Result};
+use crate::formats::episode_rows::{flat_values, refuse_nulls};
 
 /// Bytes of a chunk, about: h5py's automatic chunks are between 16 KiB and 1 MiB.
 const CHUNK_BYTES: usize = 256 << 10;
@@ -115,18 +116,8 @@ impl ArrayWriter {
         if rows.is_empty() {
             return Ok(());
         }
+        refuse_nulls(rows, &self.key, self.n_rows as u64)?;
         let values = flat_values(rows);
-        if rows.null_count() > 0 || values.null_count() > 0 {
-            let width = values.len() / rows.len();
-            let is_null = |row: &usize| {
-                rows.is_null(*row) || (row * width..(row + 1) * width).any(|i| values.is_null(i))
-            };
-            let row = (0..rows.len()).find(is_null).unwrap_or(0);
-            return Err(DatasetError::NullValue {
-                column: self.key.clone(),
-                row: (self.n_rows + row) as u64,
-            });
-        }
         self.append_values(&values, rows.len())?;
         self.n_rows += rows.len();
         Ok(())
@@ -182,26 +173,12 @@ impl ArrayWriter {
         })?;
         let end = self.n_rows + n;
         shape[0] = end;
-        self.dataset
-            .resize(shape)
-            .map_err(&write)?;
+        self.dataset.resize(shape).map_err(&write)?;
         let mut axes = vec![hdf5::SliceOrIndex::from(self.n_rows..end)];
         axes.extend(self.row_shape.iter().map(|_| hdf5::SliceOrIndex::from(..)));
         self.dataset
             .write_slice(view, hdf5::Hyperslab::from(axes))
             .map_err(write)
-    }
-}
-
-/// The values of a list column one after another, or the column itself.
-pub(crate) fn flat_values(rows: &ArrayRef) -> ArrayRef {
-    match rows.as_fixed_size_list_opt() {
-        None => rows.clone(),
-        Some(list) => {
-            let width = usize::try_from(list.value_length()).unwrap_or(0);
-            let start = usize::try_from(list.value_offset(0)).unwrap_or(0);
-            list.values().slice(start, list.len() * width)
-        }
     }
 }
 

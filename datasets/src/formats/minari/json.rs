@@ -15,9 +15,47 @@ pub(crate) fn parse(text: &str, what: &str) -> Result<Value> {
     })
 }
 
+/// JSON as Python writes it: strings that [`parse`] makes of the words are the words again.
+pub(crate) fn write(value: &Value) -> String {
+    let mut text = String::new();
+    append(value, &mut text);
+    text
+}
+
+fn append(value: &Value, text: &mut String) {
+    let mut list = |open, close, items: &mut dyn Iterator<Item = (Option<&String>, &Value)>| {
+        text.push(open);
+        for (place, (key, item)) in items.enumerate() {
+            if place > 0 {
+                text.push_str(", ");
+            }
+            if let Some(key) = key {
+                text.push_str(&Value::from(key.as_str()).to_string());
+                text.push_str(": ");
+            }
+            append(item, text);
+        }
+        text.push(close);
+    };
+    match value {
+        Value::Array(items) => list('[', ']', &mut items.iter().map(|item| (None, item))),
+        Value::Object(fields) => {
+            list(
+                '{',
+                '}',
+                &mut fields.iter().map(|(key, item)| (Some(key), item)),
+            );
+        }
+        Value::String(word) if WORDS.contains(&word.as_str()) => text.push_str(word),
+        plain => text.push_str(&plain.to_string()),
+    }
+}
+
+/// Python's words for numbers that JSON has not.
+const WORDS: [&str; 3] = ["-Infinity", "Infinity", "NaN"];
+
 /// Puts quotes around the words, outside of strings only.
 fn quoted(text: &str) -> String {
-    const WORDS: [&str; 3] = ["-Infinity", "Infinity", "NaN"];
     let mut strict = String::with_capacity(text.len() + 64);
     let mut rest = text;
     while !rest.is_empty() {
@@ -76,6 +114,12 @@ mod tests {
             value,
             json!({"low": low, "text": "NaN \" Infinity", "n": null})
         );
+    }
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        let text = r#"{"a\"b": [-Infinity, NaN, 1.5], "n": null, "t": "Infinity?"}"#;
+        assert_eq!(write(&parse(text, "x").unwrap()), text);
     }
 
     #[test]

@@ -11,6 +11,7 @@ mod empty;
 pub(crate) mod json;
 pub(crate) mod metadata;
 mod space;
+mod write;
 
 #[cfg(feature = "hdf5")]
 mod read;
@@ -21,6 +22,8 @@ pub(crate) use columnar::ColumnarSource;
 pub(crate) use columnar::create as create_columnar;
 #[cfg(feature = "hdf5")]
 pub(crate) use read::MinariSource;
+#[cfg(feature = "hdf5")]
+pub(crate) use write::create_hdf5;
 
 #[cfg(all(test, feature = "hdf5"))]
 mod tests;

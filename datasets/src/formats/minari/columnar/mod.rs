@@ -6,11 +6,11 @@
 //! only; the files have flat lists.
 
 mod convert;
+mod encode;
 mod leaves;
 mod part;
 mod source;
+mod write;
 
 pub(crate) use source::ColumnarSource;
-
-mod write;
 pub(crate) use write::create;
