@@ -88,6 +88,12 @@ pub const KIND: &str = "kind";
 /// Field metadata: value type in the source, where the column has another one (flags).
 pub const SOURCE_DTYPE: &str = "source.dtype";
 
+/// Field metadata: shape of a row in the source as a JSON list, where the column has another one (`[1]` of
+/// rewards and flags).
+pub const SOURCE_SHAPE: &str = "source.shape";
+/// Field metadata: key of the array in the source, where the column's name does not tell it.
+pub const SOURCE_KEY: &str = "source.key";
+
 const EXTENSION_NAME: &str = "ARROW:extension:name";
 const EXTENSION_METADATA: &str = "ARROW:extension:metadata";
 const TENSOR: &str = "arrow.fixed_shape_tensor";

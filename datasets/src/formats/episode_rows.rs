@@ -10,7 +10,7 @@ use crate::schema;
 use crate::sink::SinkInput;
 
 /// Rows of one episode that came in one batch.
-pub(crate) struct EpisodeRows {
+pub(crate) struct EpisodePiece {
     /// Place of the episode among those promised.
     pub(crate) place: usize,
     /// Place of the first of the rows inside the episode.
@@ -47,7 +47,7 @@ impl EpisodeCursor {
     ///
     /// # Errors
     /// Another schema, or other episodes than promised.
-    pub(crate) fn cut(&mut self, batch: &RecordBatch) -> Result<Vec<EpisodeRows>> {
+    pub(crate) fn cut(&mut self, batch: &RecordBatch) -> Result<Vec<EpisodePiece>> {
         if batch.schema_ref().fields() != self.schema.fields() {
             let error = ArrowError::SchemaError("a batch has other columns".to_owned());
             return Err(DatasetError::arrow("write rows")(error));
@@ -64,7 +64,7 @@ impl EpisodeCursor {
             let missing = usize::try_from(episode.n_rows - self.n_rows).unwrap_or(usize::MAX);
             let same = numbers.iter().skip(start).take(missing);
             let n = same.take_while(|&&other| other == number).count();
-            pieces.push(EpisodeRows {
+            pieces.push(EpisodePiece {
                 place: self.place,
                 first_row: self.n_rows,
                 rows: batch.slice(start, n),

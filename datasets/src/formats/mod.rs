@@ -2,6 +2,7 @@
 
 pub(crate) mod d4rl;
 pub(crate) mod episode_rows;
+pub(crate) mod fill;
 pub(crate) mod ipc;
 pub(crate) mod lerobot;
 pub(crate) mod minari;

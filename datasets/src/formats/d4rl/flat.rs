@@ -1,6 +1,5 @@
 //! Flat arrays with a row per step, as D4RL lays them out: keys, checks and columns, whatever file they lie in.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
 use arrow::datatypes::DataType;
@@ -173,9 +172,21 @@ fn column(
         _ => element.data_type(),
     };
     let mut field = schema::leaf_field(name, data_type, shape, nullable);
-    if *field.data_type() != element.data_type() && shape.is_empty() {
-        let dtype = element.numpy_name().to_owned();
-        field = field.with_metadata(HashMap::from([(schema::SOURCE_DTYPE.to_owned(), dtype)]));
+    let converted = *field.data_type() != element.data_type() && shape.is_empty();
+    let mut note = |key: &str, value: &str| {
+        field
+            .metadata_mut()
+            .insert(key.to_owned(), value.to_owned());
+    };
+    if converted {
+        note(schema::SOURCE_DTYPE, element.numpy_name());
+    }
+    if squeezed && array.row_shape == [1] {
+        note(schema::SOURCE_SHAPE, "[1]");
+    }
+    // An array outside of the infos, which its column does not tell.
+    if schema::belongs_to(name, schema::INFO) && !array.key.starts_with(INFOS) {
+        note(schema::SOURCE_KEY, &array.key);
     }
     let source = ColumnSource {
         key: array.key.clone(),

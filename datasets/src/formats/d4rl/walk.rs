@@ -11,7 +11,7 @@ use crate::formats::hdf5::{
 use crate::formats::steps::ArrayInfo;
 use crate::source::Warning;
 
-const METADATA: &str = "metadata";
+pub(super) const METADATA: &str = "metadata";
 /// Copies of slices for partial loading.
 const VIRTUAL: &str = "virtual";
 /// Arrays of a file, at most.

@@ -31,6 +31,9 @@ pub(crate) fn create_file(path: &Path) -> Result<hdf5::File> {
     options.with_fcpl(|fcpl| {
         fcpl.link_creation_order(hdf5::plist::file_create::LinkCreationOrder::Indexed)
     });
+    // Nobody else knows the name of a file that is not finished. A lock would pass to any process that the
+    // program starts meanwhile, and keep the finished file from being read.
+    options.with_fapl(|fapl| fapl.file_locking(false));
     options
         .create_excl(path)
         .map_err(failed("create", "a new file"))
@@ -220,6 +223,30 @@ fn unicode(text: &str, key: &str) -> Result<VarLenUnicode> {
     text.parse().map_err(|_| DatasetError::Unsupported {
         what: format!("text with a zero byte in HDF5 (\"{key}\")"),
     })
+}
+
+/// Writes a number, a flag or a text as an array without axes. `false` if the value is none of these.
+///
+/// # Errors
+/// A failed write.
+pub(crate) fn write_scalar(group: &hdf5::Group, key: &str, value: &Value) -> Result<bool> {
+    fn write<T: hdf5::H5Type>(group: &hdf5::Group, key: &str, value: &T) -> hdf5::Result<()> {
+        group.new_dataset::<T>().create(key)?.write_scalar(value)
+    }
+    let written = if let Some(value) = value.as_i64() {
+        write(group, key, &value)
+    } else if let Some(value) = value.as_u64() {
+        write(group, key, &value)
+    } else if let Some(value) = float(value) {
+        write(group, key, &value)
+    } else if let Some(value) = value.as_bool() {
+        write(group, key, &value)
+    } else if let Some(text) = value.as_str() {
+        write(group, key, &unicode(text, key)?)
+    } else {
+        return Ok(false);
+    };
+    written.map_err(failed("write", key)).map(|()| true)
 }
 
 /// Writes a number, a flag, a text or a list of one of them as an attribute. `false` if the value is none of

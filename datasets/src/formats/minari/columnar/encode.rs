@@ -10,9 +10,9 @@ use arrow::datatypes::{DataType, Field, Fields, Schema};
 
 use super::super::write::Rows;
 use super::super::write::columns::{Group, Leaf};
-use super::super::write::fill::{blank_row, concat, without_nulls};
 use super::super::write::tree::Node;
 use crate::error::{DatasetError, Result};
+use crate::formats::fill::{blank_row, concat, without_nulls};
 use crate::sink::{LossEffect, LossTally};
 
 /// Name of list elements, as pyarrow has it.

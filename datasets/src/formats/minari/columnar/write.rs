@@ -12,13 +12,13 @@ use serde_json::Value;
 
 use super::super::json;
 use super::super::write::columns::Group;
-use super::super::write::fill::concat;
 use super::super::write::tree::Node;
 use super::super::write::{self, Episode, EpisodeStore, Rows};
 use super::encode::Encoder;
 use super::part::Part;
 use crate::error::{DatasetError, Result};
 use crate::format::Format;
+use crate::formats::fill::concat;
 use crate::sink::{DatasetSink, Loss, LossEffect, LossTally, SinkInput, WriteOptions};
 
 /// Rows of a record batch, at most: what pyarrow's scanner gives in one go. Minari 0.5.4 takes every batch
@@ -62,7 +62,7 @@ fn note_infos(infos: &Group, losses: &mut Vec<Loss>) {
         changed("elements of tuples become keys named by their number");
     }
     if parts.iter().any(|(_, part)| !matches!(part, Node::Leaf(_))) {
-        changed("nested infos are kept, but Minari 0.5.4 cannot load them from this storage");
+        changed("nested infos are kept, but Minari 0.5.4 does not restore them from this storage");
     }
 }
 
@@ -237,5 +237,6 @@ fn joined(mut pieces: Vec<Rows>) -> Result<Rows> {
 fn bytes(rows: &Rows) -> usize {
     let lists = [&rows.observations, &rows.actions, &rows.infos];
     let arrays = lists.into_iter().flatten();
-    arrays.map(|array| array.get_array_memory_size()).sum()
+    let size = |array: &ArrayRef| array.to_data().get_slice_memory_size().unwrap_or(0);
+    arrays.map(size).sum()
 }

@@ -9,11 +9,11 @@ use arrow::datatypes::DataType;
 use serde_json::Value;
 
 use super::columns::{Columns, Group};
-use super::fill::concat;
 use super::{Episode, Rows};
 use crate::episode::EpisodeRecord;
 use crate::error::{DatasetError, Result};
-use crate::formats::episode_rows::{EpisodeRows, refuse_nulls};
+use crate::formats::episode_rows::{EpisodePiece, refuse_nulls};
+use crate::formats::fill::concat;
 use crate::schema;
 use crate::sink::{FinalObservation, Loss, LossEffect, LossTally};
 
@@ -158,7 +158,7 @@ impl Fate {
 /// # Errors
 /// A null where Minari has none.
 pub(super) fn rows(
-    piece: &EpisodeRows,
+    piece: &EpisodePiece,
     is_end: bool,
     fate: Fate,
     columns: &Columns,
@@ -189,7 +189,7 @@ pub(super) fn rows(
 
 /// A piece of an episode, and how much of it are steps.
 struct Cut<'a> {
-    piece: &'a EpisodeRows,
+    piece: &'a EpisodePiece,
     n_steps: usize,
     /// What comes after the piece.
     extra: Last,

@@ -7,15 +7,15 @@ use arrow::datatypes::DataType;
 use hdf5_metno as hdf5;
 use serde_json::{Map, Value};
 
-use super::columns::{Columns, Group, Leaf};
-use super::fill::{blank_row, concat, without_nulls};
+use super::columns::{Group, Leaf};
 use super::{Episode, EpisodeStore, Rows};
 use crate::error::Result;
 use crate::format::Format;
+use crate::formats::fill::{blank_row, concat, without_nulls};
 use crate::formats::hdf5::{
     ArrayPlan, ArrayWriter, close_file, create_file, failed, join, write_attribute,
 };
-use crate::sink::{DatasetSink, Loss, LossEffect, LossTally, SinkInput, WriteOptions};
+use crate::sink::{DatasetSink, LossEffect, LossTally, SinkInput, WriteOptions};
 
 /// Starts a dataset with the HDF5 storage.
 ///

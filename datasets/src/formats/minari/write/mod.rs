@@ -6,7 +6,7 @@
 
 pub(super) mod columns;
 mod episodes;
-pub(super) mod fill;
+
 #[cfg(feature = "hdf5")]
 mod hdf5;
 mod metadata;

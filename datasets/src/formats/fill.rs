@@ -14,7 +14,7 @@ use crate::error::{DatasetError, Result};
 ///
 /// # Errors
 /// A type that is no column of an episode.
-pub(in super::super) fn blank_row(data_type: &DataType, float: f64) -> Result<ArrayRef> {
+pub(crate) fn blank_row(data_type: &DataType, float: f64) -> Result<ArrayRef> {
     blank(data_type, float, 1)
 }
 
@@ -41,7 +41,7 @@ fn blank(data_type: &DataType, float: f64, n: usize) -> Result<ArrayRef> {
 ///
 /// # Errors
 /// A type that is no column of an episode.
-pub(in super::super) fn without_nulls(array: &ArrayRef) -> Result<(ArrayRef, u64)> {
+pub(crate) fn without_nulls(array: &ArrayRef) -> Result<(ArrayRef, u64)> {
     let n_nulls = array.null_count();
     if n_nulls == 0 {
         return Ok((array.clone(), 0));
@@ -62,7 +62,7 @@ pub(in super::super) fn without_nulls(array: &ArrayRef) -> Result<(ArrayRef, u64
 ///
 /// # Errors
 /// They have different types.
-pub(in super::super) fn concat(arrays: &[&ArrayRef]) -> Result<ArrayRef> {
+pub(crate) fn concat(arrays: &[&ArrayRef]) -> Result<ArrayRef> {
     let arrays: Vec<&dyn Array> = arrays.iter().map(|array| array.as_ref()).collect();
     arrow::compute::concat(&arrays).map_err(DatasetError::arrow("put rows together"))
 }
