@@ -14,14 +14,13 @@ mod writing;
 use std::path::{Path, PathBuf};
 
 use ksim_datasets::{
-    DatasetSource, FinalObservation, Format, LossEffect, OpenOptions, WriteOptions, conformance,
-    open, schema,
+    FinalObservation, Format, LossEffect, OpenOptions, WriteOptions, conformance, open, schema,
 };
 use proptest::prelude::*;
 use serde_json::Value;
 use support::{files, golden};
 use tables::{Allowed, FinalRows, MemorySource, tables};
-use writing::{assert_same, check_atomic, column, loss, python, round_trip, rows, valid};
+use writing::{assert_same, check_atomic, loss, python, round_trip};
 
 const STORAGES: [Format; 3] = [
     Format::MinariHdf5,
@@ -172,6 +171,11 @@ proptest! {
             assert_same(trips[1].back.as_ref(), trips[2].back.as_ref(), "arrow and parquet");
         }
     }
+}
+
+proptest! {
+    // Each case starts Python.
+    #![proptest_config(ProptestConfig { cases: 4, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn minari_reads_made_up_tables_alike(table in tables(Allowed { pictures: false, infos: false, ..Allowed::default() })) {
@@ -209,5 +213,15 @@ fn check_counts(table: &MemorySource, wish: FinalObservation, trip: &writing::Ro
         assert_eq!(lost("episodes", LossEffect::Dropped), n_short);
         assert_eq!(Some(n_steps + n_without), table.info.n_steps);
         assert_eq!(Some(n_episodes + n_short), table.info.n_episodes);
+    }
+}
+
+#[test]
+fn a_sink_that_is_dropped_leaves_nothing() {
+    let sample = &samples()[0];
+    let source = open(sample, &OpenOptions::default()).unwrap();
+    for format in STORAGES {
+        let folder = tempfile::tempdir().unwrap();
+        check_atomic(source.as_ref(), folder.path(), format);
     }
 }

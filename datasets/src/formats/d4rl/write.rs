@@ -208,7 +208,8 @@ impl D4rlSink {
             self.tally
                 .add("episode borders", LossEffect::Changed, detail, n);
             let last = steps.n_steps - 1;
-            if !terminals[last] && !timeouts[last] && !(is_last && self.keeps_tail) {
+            let has_end = terminals[last] || timeouts[last] || (is_last && self.keeps_tail);
+            if !has_end {
                 timeouts[last] = true;
                 let detail = "an episode that ends without a flag gets a time-out at its last step";
                 self.tally.add(TIMEOUTS, LossEffect::Invented, detail, 1);

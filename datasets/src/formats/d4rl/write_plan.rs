@@ -354,7 +354,7 @@ fn note_others(schema: &Schema, next: &Next, losses: &mut Vec<Loss>) {
     for field in schema.fields() {
         let name = field.name();
         let is_root = |root: &&str| schema::belongs_to(name, root);
-        if TAKEN.contains(&name.as_str()) || ROOTS.iter().any(|root| is_root(root)) {
+        if TAKEN.contains(&name.as_str()) || ROOTS.iter().any(is_root) {
             continue;
         }
         let is_next = match next {

@@ -16,7 +16,9 @@ pub(crate) use attributes::{attributes, json_value};
 pub(crate) use file::{
     H5File, MAX_DEPTH, MemberKind, array_paths, failed, join, members, nested_without_end,
 };
-pub(crate) use write::{ArrayPlan, ArrayWriter, close_file, create_file, write_attribute, write_scalar};
+pub(crate) use write::{
+    ArrayPlan, ArrayWriter, close_file, create_file, write_attribute, write_scalar,
+};
 
 pub(crate) use crate::formats::steps::{
     ColumnSource, Element, EpisodeRows, LeafBuilder, Piece, RowRule, StepColumn, StepScan,

@@ -18,6 +18,9 @@ pub(crate) enum Key {
     Index(usize),
 }
 
+/// The keys that lead to a leaf, and its place in the list of columns.
+pub(crate) type KeyedLeaf = (Vec<Key>, usize);
+
 /// The keys that lead from `root` to `column`.
 pub(crate) fn keys(column: &str, root: &str) -> Vec<Key> {
     let mut rest = column.strip_prefix(root).unwrap_or(column);
@@ -61,12 +64,12 @@ impl Node {
     ///
     /// # Errors
     /// The keys of one leaf lead through another.
-    pub(crate) fn build(leaves: &[(Vec<Key>, usize)]) -> Result<Option<Self>> {
+    pub(crate) fn build(leaves: &[KeyedLeaf]) -> Result<Option<Self>> {
         match leaves {
             [] => Ok(None),
             [(keys, leaf)] if keys.is_empty() => Ok(Some(Self::Leaf(*leaf))),
             several => {
-                let mut parts: Vec<(Key, Vec<(Vec<Key>, usize)>)> = Vec::new();
+                let mut parts: Vec<(Key, Vec<KeyedLeaf>)> = Vec::new();
                 for (keys, leaf) in several {
                     let Some((first, rest)) = keys.split_first() else {
                         let what = "a column that is both a leaf and a group of leaves".to_owned();
@@ -83,7 +86,7 @@ impl Node {
         }
     }
 
-    fn of_parts(parts: Vec<(Key, Vec<(Vec<Key>, usize)>)>) -> Result<Self> {
+    fn of_parts(parts: Vec<(Key, Vec<KeyedLeaf>)>) -> Result<Self> {
         let is_tuple = (0..)
             .zip(&parts)
             .all(|(place, (key, _))| *key == Key::Index(place));
