@@ -1,4 +1,4 @@
-//! Times one reading of a dataset's observations and actions: `time_read PATH arrow|matrix`.
+//! Times one reading of a dataset's observations and actions: `time_read PATH arrow|matrix [MAPPING]`.
 //! Prints `rows seconds`; `scripts/bench_read.py` calls it in turn with h5py.
 
 use std::error::Error;
@@ -11,10 +11,14 @@ use ksim_datasets::{OpenOptions, Scan, TransitionOptions, TransitionReader, open
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
     let (Some(path), Some(into)) = (args.next(), args.next()) else {
-        return Err("usage: time_read PATH arrow|matrix".into());
+        return Err("usage: time_read PATH arrow|matrix [MAPPING]".into());
+    };
+    let options = OpenOptions {
+        mapping: args.next().map(Into::into),
+        ..OpenOptions::default()
     };
     let start = Instant::now();
-    let source = open(Path::new(&path), &OpenOptions::default())?;
+    let source = open(Path::new(&path), &options)?;
     let mut n_rows = 0;
     if into == "arrow" {
         let is_wanted = |name: &&String| {

@@ -270,6 +270,37 @@ pub enum DatasetError {
         /// What is wrong with it.
         what: String,
     },
+    /// A topic of a recording that cannot be what the mapping says.
+    #[error("topic \"{topic}\"")]
+    Topic {
+        /// The topic.
+        topic: String,
+        /// Why not.
+        source: Box<DatasetError>,
+    },
+    /// A step of a recording for which a column has no sample.
+    #[error("\"{column}\" has no sample for the step at {time_ns} ns")]
+    NoSample {
+        /// The column.
+        column: String,
+        /// Time of the step by the mapping's clock, in ns.
+        time_ns: i64,
+    },
+    /// A recording without a mapping: nothing says which fields are observation and action.
+    #[error(
+        "a recording needs a mapping of its fields to observation and action: \
+         `ksim dataset inspect FILE.mcap --propose mapping.toml` writes one to start from, \
+         `--mapping mapping.toml` uses it"
+    )]
+    NoMapping,
+    /// A mapping file that makes no sense.
+    #[error("line {line}: {message}")]
+    Mapping {
+        /// Line in the file, from 1.
+        line: usize,
+        /// What is wrong.
+        message: String,
+    },
     /// A dataset id that is not allowed.
     #[error("dataset id \"{}\" is refused: {reason}", id.escape_debug())]
     BadId {

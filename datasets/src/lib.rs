@@ -38,8 +38,8 @@ mod matrix;
 pub mod mcap {
     pub use crate::formats::mcap::{
         AttachmentEntry, Channel, ChunkEntry, Decoder, Extracted, FieldDescription, FieldKind,
-        FieldLength, FieldPath, Message, MessageOptions, MessageSchema, Messages, Metadata, Plan,
-        Recording, Slot, Statistics, Summary, Value,
+        FieldLength, FieldPath, Inspection, Message, MessageOptions, MessageSchema, Messages,
+        Metadata, Plan, Recording, Slot, Statistics, Summary, TopicInspection, Value, inspect,
     };
 }
 pub mod registry;

@@ -78,6 +78,11 @@ pub const EPISODE_RECORDS: &str = "episodes.records";
 /// Schema metadata: steps per second, where the source has a fixed rate.
 pub const FPS: &str = "fps";
 
+/// Schema metadata: which time of a recording orders its messages: `log`, `publish` or `header`.
+pub const CLOCK: &str = "clock";
+/// Schema metadata: the mapping by which a recording was aligned, verbatim.
+pub const ALIGN: &str = "align";
+
 /// Field metadata: names of the values of a row, as a JSON list in C order.
 pub const NAMES: &str = "names";
 /// Field metadata: unit of the values, such as `rad`, `m` or `m/s`.

@@ -224,6 +224,20 @@ pub enum Warning {
         /// In how many episodes.
         n_episodes: u64,
     },
+    /// Messages without a time stamp of their own are left out.
+    NoTimeStamp {
+        /// Their topic.
+        topic: String,
+        /// How many.
+        n_messages: u64,
+    },
+    /// Steps are left out because a column has no sample for them.
+    StepsLeftOut {
+        /// How many.
+        n_steps: u64,
+        /// Whether the episode was cut there.
+        split: bool,
+    },
     /// Part of a damaged file could not be recovered.
     Lost {
         /// What is lost, and where.
@@ -298,6 +312,23 @@ impl fmt::Display for Warning {
                 write!(
                     f,
                     "in {n_episodes} episodes \"{column}\" is not the observation of the next row; it is kept"
+                )
+            }
+            Self::NoTimeStamp { topic, n_messages } => {
+                write!(
+                    f,
+                    "{n_messages} messages of \"{topic}\" without a time stamp are left out"
+                )
+            }
+            Self::StepsLeftOut { n_steps, split } => {
+                let then = if *split {
+                    ", where episodes are cut"
+                } else {
+                    ""
+                };
+                write!(
+                    f,
+                    "{n_steps} steps without a sample of every column are left out{then}"
                 )
             }
             Self::Lost { what } => write!(f, "lost: {what}"),

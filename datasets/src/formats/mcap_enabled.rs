@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use crate::error::{DatasetError, Result};
+use crate::error::Result;
 use crate::format::OpenOptions;
+use crate::formats::mcap::{McapSink, McapSource};
 use crate::sink::{DatasetSink, SinkInput, WriteOptions};
 use crate::source::DatasetSource;
 
@@ -11,10 +12,8 @@ use crate::source::DatasetSource;
 ///
 /// # Errors
 /// What is wrong with it.
-pub(crate) fn open(_path: &Path, _options: &OpenOptions) -> Result<Box<dyn DatasetSource>> {
-    Err(DatasetError::Unsupported {
-        what: "MCAP".to_owned(),
-    })
+pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn DatasetSource>> {
+    Ok(Box::new(McapSource::open(path, options)?))
 }
 
 /// Starts a recording.
@@ -22,11 +21,9 @@ pub(crate) fn open(_path: &Path, _options: &OpenOptions) -> Result<Box<dyn Datas
 /// # Errors
 /// The columns do not fit, or the file cannot be made.
 pub(crate) fn create(
-    _path: &Path,
-    _input: &SinkInput<'_>,
-    _options: &WriteOptions,
+    path: &Path,
+    input: &SinkInput<'_>,
+    options: &WriteOptions,
 ) -> Result<Box<dyn DatasetSink>> {
-    Err(DatasetError::Unsupported {
-        what: "writing MCAP".to_owned(),
-    })
+    Ok(Box::new(McapSink::create(path, input, options)?))
 }

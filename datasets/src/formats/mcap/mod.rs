@@ -1,8 +1,33 @@
 //! MCAP recordings: the container ([`container`]) and its messages, decoded at run time from the schemas in
 //! the file ([`decode`]).
 
+mod align;
+mod base64;
+mod bind;
 mod container;
 mod decode;
+mod describe;
+mod feeds;
+mod fields;
+mod guess;
+mod inspect;
+mod mapping;
+mod opening;
+mod paths;
+mod picture;
+mod plan;
+mod propose;
+mod rows;
+mod scan;
+mod source;
+mod spans;
+mod survey;
+mod track;
+mod values;
+mod write;
+
+pub(crate) use source::McapSource;
+pub(crate) use write::McapSink;
 
 pub use container::{
     AttachmentEntry, Channel, ChunkEntry, Message, MessageOptions, MessageSchema, Messages,
@@ -11,3 +36,4 @@ pub use container::{
 pub use decode::{
     Decoder, Extracted, FieldDescription, FieldKind, FieldLength, FieldPath, Plan, Slot, Value,
 };
+pub use inspect::{Inspection, TopicInspection, inspect};

@@ -27,6 +27,7 @@ use crate::error::{DatasetError, Result};
 
 pub use extract::{Extracted, Slot};
 pub use path::FieldPath;
+pub(crate) use path::PathStep;
 pub use value::Value;
 
 /// More fields than this are not listed.
