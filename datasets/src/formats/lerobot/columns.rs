@@ -425,12 +425,14 @@ mod tests {
             ("next.success", "info.success"),
             ("next.done", "info.next.done"),
             ("subtask", "info.subtask"),
-            ("info.x", "info.x"),
         ] {
             assert_eq!(column_name(feature, true), column);
             assert_eq!(feature_name(column, true).as_deref(), Some(feature));
         }
         assert_eq!(column_name("next.reward", false), "info.next.reward");
+        // Two features can have one column; the short name is written.
+        assert_eq!(column_name("info.x", true), column_name("x", true));
+        assert_eq!(feature_name("info.x", true).as_deref(), Some("x"));
         // What a short name would be mistaken for keeps its prefix.
         for column in [
             "info.index",
