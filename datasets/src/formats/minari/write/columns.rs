@@ -38,6 +38,10 @@ pub(in super::super) struct Leaf {
     /// Place in the table.
     pub(super) index: usize,
     /// Type of the column.
+    #[cfg_attr(
+        not(feature = "hdf5"),
+        allow(dead_code, reason = "used by the HDF5 writer")
+    )]
     pub(super) data_type: DataType,
     /// Type of one value.
     pub(in super::super) value_type: DataType,

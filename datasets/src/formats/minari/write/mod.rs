@@ -34,6 +34,10 @@ use metadata::DatasetMetadata;
 pub(super) struct Episode {
     pub(super) number: u64,
     /// At least 1.
+    #[cfg_attr(
+        not(feature = "hdf5"),
+        allow(dead_code, reason = "used by the HDF5 writer")
+    )]
     pub(super) n_steps: u64,
     /// Its seed, options and whatever else is recorded.
     pub(super) attributes: Map<String, Value>,

@@ -109,6 +109,10 @@ impl Node {
     }
 
     /// The names on the way to every leaf, where elements of tuples are named by `element`.
+    #[cfg_attr(
+        not(feature = "hdf5"),
+        allow(dead_code, reason = "used by the HDF5 writer")
+    )]
     pub(crate) fn paths(&self, element: fn(usize) -> String) -> Vec<(usize, Vec<String>)> {
         let below = |name: String, node: &Self| {
             let paths = node.paths(element).into_iter();
