@@ -1,5 +1,4 @@
 //! Archives that NumPy would not write, or not all at once.
-#![expect(clippy::unwrap_used, reason = "tests")]
 
 use std::fs::File;
 use std::io::Write;

@@ -1,5 +1,4 @@
 //! Files that robomimic's own tools would not write, or not all at once.
-#![expect(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
 
