@@ -1,6 +1,10 @@
 //! `ksim dataset`: what is on this machine, and what a dataset holds.
 
 mod download;
+#[cfg(feature = "mcap")]
+mod inspect;
+#[cfg(not(feature = "mcap"))]
+#[path = "inspect_disabled.rs"]
 mod inspect;
 mod known;
 mod validate;
