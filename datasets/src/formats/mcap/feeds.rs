@@ -1,6 +1,6 @@
 //! Which samples the rows of a scan need.
 
-use std::collections::BTreeMap;
+use std::collections::VecDeque;
 
 use super::align::{Pick, pick};
 use super::mapping::{Column, Role};
@@ -10,8 +10,7 @@ use super::track::Track;
 /// Samples of a column that rows still need.
 pub(super) struct Store {
     pub(super) column: usize,
-    /// By rank; `None` inside is a null.
-    pub(super) samples: BTreeMap<usize, Option<Vec<u8>>>,
+    pub(super) samples: Window,
     /// For each rank one more than the last row that needs it; 0 if none does.
     pub(super) last_use: Vec<u32>,
 }
@@ -27,7 +26,61 @@ pub(super) struct Feed {
     pub(super) ready: usize,
 }
 
+/// A sample that was read; `None` is a null.
+pub(super) type Sample = Option<Vec<u8>>;
+
+/// Samples by rank. Ranks that are held lie close together in recordings that are about in order.
+#[derive(Default)]
+pub(super) struct Window {
+    first: usize,
+    samples: VecDeque<Option<Sample>>,
+}
+
+impl Window {
+    /// The sample of a rank, if it was read and not let go.
+    pub(super) fn get(&self, rank: usize) -> Option<&Sample> {
+        self.samples.get(rank.checked_sub(self.first)?)?.as_ref()
+    }
+
+    pub(super) fn insert(&mut self, rank: usize, sample: Sample) {
+        if self.samples.is_empty() {
+            self.first = rank;
+        }
+        while rank < self.first {
+            self.samples.push_front(None);
+            self.first -= 1;
+        }
+        let place = rank - self.first;
+        if place >= self.samples.len() {
+            self.samples.resize_with(place + 1, || None);
+        }
+        if let Some(slot) = self.samples.get_mut(place) {
+            *slot = Some(sample);
+        }
+    }
+}
+
 impl Store {
+    /// Lets go of the samples that no row from `end` on needs; gives their bytes.
+    pub(super) fn release(&mut self, end: usize) -> usize {
+        let window = &mut self.samples;
+        let mut freed = 0;
+        for (slot, rank) in window.samples.iter_mut().zip(window.first..) {
+            let is_needed = self
+                .last_use
+                .get(rank)
+                .is_some_and(|last| *last as usize > end);
+            if !is_needed {
+                freed += slot.take().flatten().map_or(0, |bytes| bytes.len());
+            }
+        }
+        while window.samples.front().is_some_and(Option::is_none) {
+            window.samples.pop_front();
+            window.first += 1;
+        }
+        freed
+    }
+
     /// Notes which samples the rows of a feed need.
     pub(super) fn need(&mut self, picks: &[Option<Pick>]) {
         for (row, pick) in picks.iter().enumerate() {

@@ -8,7 +8,7 @@ use arrow::datatypes::SchemaRef;
 
 use super::align::Pick;
 use super::bind::{ChannelReader, Layout};
-use super::feeds::{Feed, Store, add_picks, numbers, ranks};
+use super::feeds::{Feed, Store, Window, add_picks, numbers, ranks};
 use super::mapping::{Column, From, Mapping};
 use super::plan::Episode;
 use super::rows::{self, Rows};
@@ -111,7 +111,7 @@ impl<'a> FileScan<'a> {
             None => {
                 self.stores.push(Store {
                     column: base,
-                    samples: BTreeMap::new(),
+                    samples: Window::default(),
                     last_use: vec![0; track.times.len()],
                 });
                 let store = self.stores.len() - 1;
@@ -244,7 +244,7 @@ impl<'a> FileScan<'a> {
             let is_there = |pick: &Option<Pick>| {
                 pick.iter()
                     .flat_map(ranks)
-                    .all(|rank| store.samples.contains_key(&rank))
+                    .all(|rank| store.samples.get(rank).is_some())
             };
             while feed.picks.get(feed.ready).is_some_and(is_there) {
                 feed.ready += 1;
@@ -281,15 +281,7 @@ impl<'a> FileScan<'a> {
         }
         self.n_emitted = end;
         for store in &mut self.stores {
-            let last_use = &store.last_use;
-            let held = &mut self.held;
-            store.samples.retain(|rank, sample| {
-                let keep = last_use.get(*rank).is_some_and(|last| *last as usize > end);
-                if !keep {
-                    *held = held.saturating_sub(sample.as_ref().map_or(0, Vec::len));
-                }
-                keep
-            });
+            self.held = self.held.saturating_sub(store.release(end));
         }
         self.batch(start..end, columns)
     }
@@ -299,7 +291,7 @@ impl<'a> FileScan<'a> {
             return out.push(None);
         };
         let samples = self.stores.get(feed.store).map(|store| &store.samples);
-        let sample = |rank: usize| samples.and_then(|samples| samples.get(&rank)?.as_deref());
+        let sample = |rank: usize| samples.and_then(|samples| samples.get(rank)?.as_deref());
         let first = sample(pick.first);
         let Some((second, weight)) = pick.second else {
             return out.push(first);
