@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Reading HDF5 into Arrow, against h5py in the same run. Needs numpy and h5py.
+"""Reading into Arrow, against h5py and pyarrow in the same run. Needs numpy, h5py and pyarrow.
 
 usage: bench_read.py MINARI_FOLDER [--steps N] [--work DIR] [--binary PATH] [--runs N]
 
-Repeats the episodes of MINARI_FOLDER to N steps, writes the same rows as a D4RL file (gzip), and prints the
-best time of each reader and the ratio.
+Repeats the episodes of MINARI_FOLDER to N steps, writes the same rows as a D4RL file (gzip) and with pyarrow as
+Parquet (zstd), and prints the best time of each reader and the ratio.
 """
 import argparse
 import json
@@ -15,6 +15,8 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 
 def make_minari(source: Path, target: Path, n_steps: int) -> None:
@@ -57,6 +59,23 @@ def make_d4rl(source: Path, target: Path) -> None:
             f.create_dataset(key, data=np.concatenate(parts), compression="gzip")
 
 
+def make_parquet(d4rl: Path, target: Path) -> None:
+    with h5py.File(d4rl) as f:
+        rows = {key: f[key][()] for key in ("observations", "actions", "rewards", "terminals", "timeouts")}
+    ends = rows["terminals"] | rows["timeouts"]
+    table = {"episode_index": np.concatenate([[0], np.cumsum(ends)[:-1]]).astype(np.int64)}
+    names = {"observations": "observation", "actions": "action", "rewards": "reward"}
+    for key, values in rows.items():
+        flat = pa.array(values.ravel())
+        column = flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+        table[names.get(key, key)] = column
+    pq.write_table(pa.table(table), target, compression="zstd", use_dictionary=["episode_index"])
+
+
+def read_parquet(path: Path) -> int:
+    return pq.read_table(path, columns=["episode_index", "observation", "action"]).num_rows
+
+
 def read_minari(path: Path) -> int:
     n = 0
     with h5py.File(path / "data/main_data.hdf5") as f:
@@ -90,8 +109,12 @@ def main() -> None:
         make_minari(args.dataset, minari, args.steps)
     if not d4rl.exists():
         make_d4rl(minari, d4rl)
-    print(f"{'format':8}{'h5py s':>10}{'arrow s':>10}{'ratio':>8}{'matrix s':>10}")
-    for name, path, read in (("minari", minari, read_minari), ("d4rl", d4rl, read_d4rl)):
+    parquet = args.work / "table.parquet"
+    if not parquet.exists():
+        make_parquet(d4rl, parquet)
+    print(f"{'format':8}{'peer s':>10}{'arrow s':>10}{'ratio':>8}{'matrix s':>10}")
+    formats = (("minari", minari, read_minari), ("d4rl", d4rl, read_d4rl), ("parquet", parquet, read_parquet))
+    for name, path, read in formats:
         ours = {"arrow": [], "matrix": []}
         theirs = []
         # Alternating, so that a busy machine is unfair to neither.
