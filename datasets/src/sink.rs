@@ -149,6 +149,8 @@ pub struct SinkInput<'a> {
 pub struct WriteOptions {
     /// Id to write into the dataset; `None` keeps the source's, or takes the name of the destination.
     pub id: Option<String>,
+    /// Replace a dataset folder that is at the destination. It stays there until the new one is complete.
+    pub overwrite: bool,
     /// How formats that demand a final observation get one, for episodes that have none.
     pub final_observation: FinalObservation,
     /// Steps per second, for formats that need it where the source records none.

@@ -8,6 +8,8 @@ use crate::error::{DatasetError, Result};
 pub(crate) struct Staged {
     target: PathBuf,
     temporary: PathBuf,
+    /// Whether a folder that is at the target makes way.
+    replaces: bool,
     published: bool,
 }
 
@@ -20,19 +22,18 @@ impl Staged {
         Self::beside(target)
     }
 
-    /// A new empty folder that will stand at `target`, where nothing or an empty folder may be.
+    /// A new empty folder that will stand at `target`. With `replace`, a folder that is there stays until
+    /// this one is published; without, nothing or an empty folder may be there.
     ///
     /// # Errors
     /// Something is there already, or the folder cannot be made.
-    pub(crate) fn folder(target: &Path) -> Result<Self> {
-        let occupied = match std::fs::read_dir(target) {
-            Ok(mut entries) => entries.next().is_some(),
-            Err(_) => target.symlink_metadata().is_ok(),
-        };
-        if occupied {
+    pub(crate) fn folder(target: &Path, replace: bool) -> Result<Self> {
+        let replaces = is_occupied(target);
+        if replaces && !(replace && target.is_dir()) {
             return Err(DatasetError::AlreadyExists);
         }
-        let staged = Self::beside(target)?;
+        let mut staged = Self::beside(target)?;
+        staged.replaces = replaces;
         std::fs::create_dir_all(&staged.temporary).map_err(|e| DatasetError::io("create", e))?;
         Ok(staged)
     }
@@ -49,6 +50,7 @@ impl Staged {
         Ok(Self {
             target: target.to_owned(),
             temporary,
+            replaces: false,
             published: false,
         })
     }
@@ -68,10 +70,33 @@ impl Staged {
     /// # Errors
     /// The system refuses the renaming.
     pub(crate) fn publish(mut self) -> Result<()> {
-        std::fs::rename(&self.temporary, &self.target)
-            .map_err(|e| DatasetError::io("put in place", e))?;
+        let put = |from: &Path, to: &Path| {
+            std::fs::rename(from, to).map_err(|e| DatasetError::io("put in place", e))
+        };
+        let old = self.temporary.with_extension("replaced");
+        if self.replaces {
+            // No system call replaces a folder that is not empty.
+            put(&self.target, &old)?;
+        }
+        let placed = put(&self.temporary, &self.target);
+        if self.replaces {
+            // Nothing useful can be done if these fail: the name says what it is.
+            let _ = match placed {
+                Ok(()) => std::fs::remove_dir_all(&old),
+                Err(_) => std::fs::rename(&old, &self.target),
+            };
+        }
+        placed?;
         self.published = true;
         Ok(())
+    }
+}
+
+/// Whether something is there that is no empty folder.
+pub(crate) fn is_occupied(target: &Path) -> bool {
+    match std::fs::read_dir(target) {
+        Ok(mut entries) => entries.next().is_some(),
+        Err(_) => target.symlink_metadata().is_ok(),
     }
 }
 
@@ -95,18 +120,25 @@ mod tests {
     fn a_folder_appears_when_published_and_vanishes_when_dropped() {
         let dir = tempfile::tempdir().unwrap();
         let target = dir.path().join("out");
-        let staged = Staged::folder(&target).unwrap();
+        let staged = Staged::folder(&target, false).unwrap();
         std::fs::write(staged.path().join("a"), "x").unwrap();
         drop(staged);
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
-        let staged = Staged::folder(&target).unwrap();
+        let staged = Staged::folder(&target, false).unwrap();
         std::fs::write(staged.path().join("a"), "x").unwrap();
         assert!(!target.exists());
         staged.publish().unwrap();
         assert!(target.join("a").exists());
         assert!(matches!(
-            Staged::folder(&target).map(|_| ()),
+            Staged::folder(&target, false).map(|_| ()),
             Err(DatasetError::AlreadyExists)
         ));
+
+        let staged = Staged::folder(&target, true).unwrap();
+        std::fs::write(staged.path().join("b"), "x").unwrap();
+        assert!(target.join("a").exists(), "the old one stays until the end");
+        staged.publish().unwrap();
+        assert!(target.join("b").exists() && !target.join("a").exists());
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 }

@@ -146,7 +146,7 @@ fn a_failed_conversion_leaves_nothing_and_keeps_what_was_there() {
         "{error:?}"
     );
 
-    options.overwrite = true;
+    options.write.overwrite = true;
     let stop = convert(source.as_ref(), &to, &options, &mut |progress| {
         assert_eq!((progress.rows, progress.of), (12, 12));
         ControlFlow::Break(())
@@ -186,4 +186,32 @@ fn what_is_not_there_is_named() {
         "{error:?}"
     );
     assert_eq!(names(dir.path()), ["in.parquet"]);
+}
+
+#[test]
+fn a_folder_is_replaced_only_when_the_new_one_is_complete() {
+    let dir = tempfile::tempdir().unwrap();
+    let source = write_source(&dir.path().join("in.parquet"));
+    let to = dir.path().join("out");
+    let steps = || open(&to, &OpenOptions::default()).unwrap().info().n_steps;
+    let mut options = ConvertOptions::new(Format::LeRobot);
+    run(source.as_ref(), &to, &options).unwrap();
+    let error = run(source.as_ref(), &to, &options).unwrap_err();
+    assert!(matches!(error.cause(), DatasetError::AlreadyExists));
+
+    options.write.overwrite = true;
+    options.episodes = Some(std::iter::once(0..2).collect());
+    let stop = convert(source.as_ref(), &to, &options, &mut |_| {
+        ControlFlow::Break(())
+    });
+    assert!(stop.is_err());
+    assert_eq!(steps(), Some(12));
+    run(source.as_ref(), &to, &options).unwrap();
+    assert_eq!(steps(), Some(6));
+    assert_eq!(names(dir.path()), ["in.parquet", "out"]);
+
+    // What is no dataset is not ours to remove.
+    std::fs::remove_dir_all(to.join("meta")).unwrap();
+    assert!(run(source.as_ref(), &to, &options).is_err());
+    assert!(to.join("data").exists());
 }

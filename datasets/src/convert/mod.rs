@@ -8,7 +8,7 @@ mod select;
 mod space;
 
 use std::ops::{ControlFlow, Range};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use arrow::array::{AsArray, RecordBatch};
@@ -22,6 +22,7 @@ use crate::format::{Format, detect};
 use crate::schema;
 use crate::sink::{Loss, SinkInput, WriteOptions, create};
 use crate::source::{DatasetInfo, DatasetSource, Scan};
+use crate::staging::is_occupied;
 use cast::Casts;
 
 /// What to convert, and how.
@@ -36,8 +37,6 @@ pub struct ConvertOptions {
     pub columns: Option<Vec<String>>,
     /// Value types to change.
     pub casts: Vec<Cast>,
-    /// Replace a dataset that is already at the destination.
-    pub overwrite: bool,
     /// What the format leaves open.
     pub write: WriteOptions,
 }
@@ -50,7 +49,6 @@ impl ConvertOptions {
             episodes: None,
             columns: None,
             casts: Vec::new(),
-            overwrite: false,
             write: WriteOptions::default(),
         }
     }
@@ -91,7 +89,7 @@ pub struct ConvertProgress {
 ///
 /// # Errors
 /// A selection that fits nothing, a cast that would change a value to infinity or out of range, something
-/// already at the destination (unless `overwrite`), or those of source and sink. The destination is untouched
+/// already at the destination (unless `write.overwrite`), or those of source and sink. The destination is untouched
 /// then.
 pub fn convert(
     source: &dyn DatasetSource,
@@ -110,7 +108,7 @@ pub fn convert(
         .episodes
         .is_some()
         .then(|| episodes.iter().map(|e| e.episode_index).collect());
-    let aside = Aside::make(target, options.overwrite).map_err(|e| e.in_file(target))?;
+    check_target(target, options.write.overwrite).map_err(|e| e.in_file(target))?;
 
     let input = SinkInput {
         schema: &casted,
@@ -138,7 +136,6 @@ pub fn convert(
         }
     }
     let written = sink.finish()?;
-    aside.discard();
     Ok(ConvertReport {
         source: source.info().clone(),
         written: written.info,
@@ -179,52 +176,14 @@ fn with_records(schema: &SchemaRef, episodes: &[EpisodeRecord], format: Format) 
     Arc::new(Schema::new_with_metadata(schema.fields().clone(), metadata))
 }
 
-/// The dataset that is replaced, under another name until the new one is in its place.
-struct Aside {
-    target: PathBuf,
-    /// `None` if there is nothing to replace, or a file that the sink replaces itself.
-    moved: Option<PathBuf>,
-}
-
-impl Aside {
-    fn make(target: &Path, overwrite: bool) -> Result<Self> {
-        let mut aside = Self {
-            target: target.to_owned(),
-            moved: None,
-        };
-        let is_empty_folder =
-            std::fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none());
-        if target.symlink_metadata().is_err() || is_empty_folder {
-            return Ok(aside);
-        }
-        if !overwrite {
-            return Err(DatasetError::AlreadyExists);
-        }
-        if target.is_dir() {
-            // Only what is a dataset is ever removed.
-            detect(target)?;
-            let name = target.file_name().unwrap_or_default().to_string_lossy();
-            let to = target.with_file_name(format!(".{name}.{}.replaced", std::process::id()));
-            std::fs::rename(target, &to).map_err(|e| DatasetError::io("move aside", e))?;
-            aside.moved = Some(to);
-        }
-        Ok(aside)
+/// Refuses a destination that is taken; with `overwrite`, only a folder that is no dataset is refused.
+fn check_target(target: &Path, overwrite: bool) -> Result<()> {
+    if !is_occupied(target) {
+        return Ok(());
     }
-
-    /// The new dataset is there: the old one goes.
-    fn discard(mut self) {
-        if let Some(moved) = self.moved.take() {
-            // The name says what it is if this fails.
-            let _ = std::fs::remove_dir_all(moved);
-        }
-    }
-}
-
-impl Drop for Aside {
-    fn drop(&mut self) {
-        if let Some(moved) = &self.moved {
-            // As above.
-            let _ = std::fs::rename(moved, &self.target);
-        }
+    match overwrite {
+        false => Err(DatasetError::AlreadyExists),
+        true if target.is_dir() => detect(target).map(|_| ()),
+        true => Ok(()),
     }
 }

@@ -140,6 +140,7 @@ impl WriteArgs {
     fn options(&self) -> WriteOptions {
         WriteOptions {
             id: self.id.clone(),
+            overwrite: false,
             final_observation: match self.final_observation {
                 FinalArg::Recorded => FinalObservation::Recorded,
                 FinalArg::Duplicate => FinalObservation::Duplicate,
@@ -204,8 +205,10 @@ pub(crate) fn run(args: &ConvertArgs, context: &Context) -> Result<CommandOutcom
         episodes: args.episodes.clone(),
         columns: args.columns.clone(),
         casts: args.cast.clone(),
-        overwrite: args.overwrite,
-        write: args.write.options(),
+        write: WriteOptions {
+            overwrite: args.overwrite,
+            ..args.write.options()
+        },
     };
     let steps = source.info().n_steps.unwrap_or(0);
     let progress = context.bar(format!("writing {}", args.output.display()), steps, "rows");

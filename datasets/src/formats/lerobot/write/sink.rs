@@ -105,7 +105,7 @@ impl LeRobotSink {
             name => Feature::index(name, "int64"),
         }));
         let stats = empty_stats(&features, &mut losses);
-        let staged = Staged::folder(path)?;
+        let staged = Staged::folder(path, options.overwrite)?;
         let with_stats = features.iter().zip(&stats);
         let with_stats: Vec<&Feature> = with_stats
             .filter_map(|(feature, stats)| stats.as_ref().map(|_| feature))

@@ -114,7 +114,7 @@ pub(super) fn create(
     let columns = Columns::new(input.schema, &mut losses)?;
     let metadata = DatasetMetadata::new(path, format, &columns, (input, options), &mut losses)?;
     let fates = Fates::new(input.episodes, &columns, options.final_observation);
-    let staged = Staged::folder(path)?;
+    let staged = Staged::folder(path, options.overwrite)?;
     let data = staged.path().join("data");
     std::fs::create_dir(&data).map_err(|e| DatasetError::io("create", e))?;
     let store = store(&data, &columns, &mut losses)?;
