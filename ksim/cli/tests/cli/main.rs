@@ -6,6 +6,8 @@ mod download;
 mod faults;
 #[cfg(feature = "hdf5")]
 mod golden;
+#[cfg(feature = "mcap")]
+mod mcap;
 mod pairing;
 mod process;
 mod score;
