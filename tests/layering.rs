@@ -95,13 +95,20 @@ impl Graph {
         self.packages[id]["name"].as_str().expect("a name")
     }
 
+    /// Whether a crate runs in the compiler: what it depends on is built into nothing.
+    fn is_proc_macro(&self, id: &str) -> bool {
+        let is_macro = |target: &Value| list(&target["kind"]).iter().any(|k| k == "proc-macro");
+        list(&self.packages[id]["targets"]).iter().any(is_macro)
+    }
+
     /// Everything that is built into a package, itself left out.
     fn below<'a>(&'a self, id: &'a str) -> BTreeSet<&'a str> {
         let mut seen = BTreeSet::new();
         let mut open: Vec<&str> = vec![id];
         while let Some(id) = open.pop() {
             let new = self.normal[id].iter().map(String::as_str);
-            open.extend(new.filter(|&id| seen.insert(id)));
+            let new = new.filter(|&id| seen.insert(id));
+            open.extend(new.filter(|&id| !self.is_proc_macro(id)));
         }
         seen
     }

@@ -421,7 +421,7 @@ mod tests {
             ),
             (
                 format!("{grid}{joints}[episodes]\nby = \"moon\"\n"),
-                6,
+                7,
                 "moon",
             ),
             (
