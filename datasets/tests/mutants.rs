@@ -14,6 +14,7 @@ use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use ksim_datasets::{
@@ -44,7 +45,12 @@ const FOLDERS: [(&str, &str); 2] = [
     ("formats/lerobot", "meta/info.json"),
 ];
 /// Formats that a D4RL sample is written to.
-const WRITTEN: [Format; 2] = [Format::Parquet, Format::ArrowIpc];
+const WRITTEN: &[Format] = &[
+    Format::Parquet,
+    Format::ArrowIpc,
+    #[cfg(feature = "mcap")]
+    Format::Mcap,
+];
 
 /// `SplitMix64`: mutants are the same on every run.
 struct Random(u64);
@@ -123,7 +129,7 @@ fn samples(work: &Path) -> Vec<Sample> {
             info: source.info(),
             episodes: &episodes,
         };
-        for format in WRITTEN {
+        for &format in WRITTEN {
             let file = work.join(format!("whole.{format}"));
             let mut sink = create(&file, format, &input, &WriteOptions::default()).unwrap();
             copy(source.as_ref(), sink.as_mut()).unwrap();
@@ -136,6 +142,30 @@ fn samples(work: &Path) -> Vec<Sample> {
     }
     samples
 }
+
+/// Where a mutant finds the mapping of the sample it was made from, if that is a recording.
+fn mapping(mutant: &Path) -> Option<PathBuf> {
+    let (_, sample) = mutant.file_name()?.to_str()?.split_once('-')?;
+    let work = mutant.parent()?.parent()?;
+    Some(work.join(format!("{sample}.toml"))).filter(|mapping| mapping.exists())
+}
+
+/// Puts a proposed mapping of every recording that has none of its own beside the mutants.
+#[cfg(feature = "mcap")]
+fn write_mappings(work: &Path, samples: &[Sample]) {
+    for sample in samples {
+        let proposal = ksim_datasets::mcap::inspect(&sample.file, true).and_then(|i| i.propose());
+        if let Ok(toml) = proposal
+            && sample.file.parent() != Some(work)
+        {
+            let name = sample.file.file_name().unwrap().to_string_lossy();
+            std::fs::write(work.join(format!("{name}.toml")), toml).unwrap();
+        }
+    }
+}
+
+#[cfg(not(feature = "mcap"))]
+fn write_mappings(_work: &Path, _samples: &[Sample]) {}
 
 fn write_mutant(folder: &Path, number: usize, sample: &Sample, random: &mut Random) {
     let mut bytes = std::fs::read(&sample.file).unwrap();
@@ -166,6 +196,7 @@ fn read_all(path: &Path) {
             episode_policy: policy,
             force: true,
             recover: pass == 2,
+            mapping: mapping(path),
             ..OpenOptions::default()
         };
         let Ok(source) = open(path, &options) else {
@@ -268,22 +299,32 @@ fn damaged_files_never_crash() {
     };
     let samples = samples(work.path());
     assert!(samples.len() >= 10, "only {} samples found", samples.len());
-    let mut random = Random(1);
-    for first in (0..n_mutants).step_by(AT_ONCE) {
-        let folder = work.path().join(format!("mutants{first}"));
-        std::fs::create_dir(&folder).unwrap();
-        for number in first..n_mutants.min(first + AT_ONCE) {
-            write_mutant(
-                &folder,
-                number,
-                &samples[number % samples.len()],
-                &mut random,
-            );
+    write_mappings(work.path(), &samples);
+    let starts: Vec<usize> = (0..n_mutants).step_by(AT_ONCE).collect();
+    let next = AtomicUsize::new(0);
+    let work_through = || {
+        while let Some(&first) = starts.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let folder = work.path().join(format!("mutants{first}"));
+            std::fs::create_dir(&folder).unwrap();
+            // The same mutants whatever runs beside them.
+            let mut random = Random(first as u64 + 1);
+            for number in first..n_mutants.min(first + AT_ONCE) {
+                let sample = &samples[number % samples.len()];
+                write_mutant(&folder, number, sample, &mut random);
+            }
+            run(&folder)?;
+            std::fs::remove_dir_all(&folder).unwrap();
         }
-        if let Err(fault) = run(&folder) {
-            let kept = work.keep();
-            panic!("kept in {}: {fault}", kept.display());
-        }
-        std::fs::remove_dir_all(&folder).unwrap();
+        Ok(())
+    };
+    let faults: Vec<String> = std::thread::scope(|scope| {
+        let n_workers = std::thread::available_parallelism().map_or(1, usize::from);
+        let workers: Vec<_> = (0..n_workers).map(|_| scope.spawn(work_through)).collect();
+        let results = workers.into_iter().map(|worker| worker.join().unwrap());
+        results.filter_map(Result::err).collect()
+    });
+    if let Some(fault) = faults.first() {
+        let kept = work.keep();
+        panic!("kept in {}: {fault}", kept.display());
     }
 }
