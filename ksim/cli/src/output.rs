@@ -1,5 +1,6 @@
 //! The only place that prints: results to stdout, everything else to stderr.
 
+use std::borrow::Cow;
 use std::io::{self, ErrorKind, Write};
 use std::process::ExitCode;
 
@@ -20,7 +21,7 @@ pub(crate) enum OutputFormat {
 pub(crate) fn text(text: &str) -> Result<()> {
     let mut stdout = io::stdout().lock();
     match stdout
-        .write_all(text.as_bytes())
+        .write_all(printable(text).as_bytes())
         .and_then(|()| stdout.flush())
     {
         // The reader had enough, as `head` does.
@@ -55,5 +56,30 @@ pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
 
 fn to_stderr(line: &str) {
     // Not `eprintln!`, which panics if stderr is closed.
-    let _ = writeln!(io::stderr().lock(), "{line}");
+    let _ = writeln!(io::stderr().lock(), "{}", printable(line));
+}
+
+/// The text without control characters: names in other people's files must not steer the terminal.
+fn printable(text: &str) -> Cow<'_, str> {
+    let steers = |c: char| c.is_control() && c != '\n';
+    if !text.contains(steers) {
+        return Cow::Borrowed(text);
+    }
+    let mut clean = String::with_capacity(text.len());
+    for c in text.chars() {
+        match steers(c) {
+            true => clean.extend(c.escape_debug()),
+            false => clean.push(c),
+        }
+    }
+    Cow::Owned(clean)
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn control_characters_are_shown_not_sent() {
+        let shown = super::printable("a\u{1b}[31mb\nc");
+        assert_eq!(shown, "a\\u{1b}[31mb\nc");
+    }
 }

@@ -275,7 +275,12 @@ fn text(report: &ConvertReport) -> String {
         text.push('\n');
     }
     if report.losses.is_empty() {
-        text += "\nnothing was lost\n";
+        text += match CommandOutcome::of([&report.source]) {
+            CommandOutcome::DoneWithDataLoss => {
+                "\nnothing more was lost than the warnings on reading say\n"
+            }
+            _ => "\nnothing was lost\n",
+        };
         return text;
     }
     let header = ["what", "became", "how many", "why"].map(str::to_owned);

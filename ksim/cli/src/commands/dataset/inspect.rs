@@ -119,8 +119,17 @@ fn text(inspection: &Inspection) -> String {
             or_dash(topic.skew_ms),
         ]
     }));
-    let mut text = format!("{}\n{}", table::properties(&rows), table::align(&topics));
-    text.push_str("\nnumeric fields\n");
+    format!(
+        "{}\n{}\nnumeric fields\n{}{}",
+        table::properties(&rows),
+        table::align(&topics),
+        fields_text(inspection),
+        records_text(inspection)
+    )
+}
+
+fn fields_text(inspection: &Inspection) -> String {
+    let mut text = String::new();
     for topic in &inspection.topics {
         let fields: Vec<String> = topic
             .numeric_fields()
@@ -131,6 +140,12 @@ fn text(inspection: &Inspection) -> String {
             None => text.extend(["  ", &topic.topic, ": ", &fields.join(", "), "\n"]),
         }
     }
+    text
+}
+
+/// Metadata records and attachments.
+fn records_text(inspection: &Inspection) -> String {
+    let mut text = String::new();
     for record in &inspection.metadata {
         text.extend(["\nmetadata \"", &record.name, "\"\n"]);
         for (key, value) in &record.entries {
