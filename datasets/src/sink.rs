@@ -11,6 +11,7 @@ use crate::episode::EpisodeRecord;
 use crate::error::{DatasetError, Result};
 use crate::format::Format;
 use crate::formats::parquet::ParquetSink;
+use crate::formats::tabular::{ColumnNames, FilePlan};
 use crate::formats::{hdf5_writing, ipc, lerobot, mcap_files, minari};
 use crate::source::{DatasetInfo, DatasetSource, Scan};
 
@@ -153,7 +154,7 @@ pub struct WriteOptions {
     pub overwrite: bool,
     /// How formats that demand a final observation get one, for episodes that have none.
     pub final_observation: FinalObservation,
-    /// Steps per second, for formats that need it where the source records none.
+    /// Steps per second, for formats that need it; `None` takes what the source records.
     pub fps: Option<f64>,
     /// Task text of episodes that have none, for LeRobot.
     pub task: Option<String>,
@@ -196,6 +197,11 @@ pub fn create(
     input: &SinkInput<'_>,
     options: &WriteOptions,
 ) -> Result<Box<dyn DatasetSink>> {
+    if matches!(format, Format::Parquet | Format::ArrowIpc) {
+        // What the reader refuses must not take the place of what is there.
+        let plan = FilePlan::new(input.schema, &ColumnNames::default());
+        plan.map_err(|error| error.in_file(path))?;
+    }
     let created = match format {
         Format::Parquet => ParquetSink::create(path, input.schema.clone())
             .map(|sink| Box::new(sink) as Box<dyn DatasetSink>),

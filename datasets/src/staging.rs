@@ -82,6 +82,7 @@ impl Staged {
         if self.replaces {
             // Nothing useful can be done if these fail: the name says what it is.
             let _ = match placed {
+                Ok(()) if old.is_symlink() => std::fs::remove_file(&old),
                 Ok(()) => std::fs::remove_dir_all(&old),
                 Err(_) => std::fs::rename(&old, &self.target),
             };

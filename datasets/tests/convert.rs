@@ -215,3 +215,29 @@ fn a_folder_is_replaced_only_when_the_new_one_is_complete() {
     assert!(run(source.as_ref(), &to, &options).is_err());
     assert!(to.join("data").exists());
 }
+
+/// The metadata of a recording is a list, one entry for each file.
+#[cfg(feature = "hdf5")]
+#[test]
+fn metadata_that_is_no_object_does_not_keep_anything_from_being_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let source = write_source(&dir.path().join("a.parquet"));
+    let rows = read(&dir.path().join("a.parquet"));
+    let mut metadata = source.schema().metadata().clone();
+    metadata.insert(schema::SOURCE_METADATA.to_owned(), "[{}]".to_owned());
+    let with_list = rows.schema().as_ref().clone().with_metadata(metadata);
+    let path = dir.path().join("b.parquet");
+    let mut sink = ParquetSink::create(&path, Arc::new(with_list.clone())).unwrap();
+    sink.write(&rows.with_schema(Arc::new(with_list)).unwrap())
+        .unwrap();
+    Box::new(sink).finish().unwrap();
+    let source = open(&path, &OpenOptions::default()).unwrap();
+    for (place, format) in [Format::D4rlHdf5, Format::MinariHdf5, Format::LeRobot]
+        .into_iter()
+        .enumerate()
+    {
+        let target = dir.path().join(format!("out{place}"));
+        let report = run(source.as_ref(), &target, &ConvertOptions::new(format)).unwrap();
+        assert_eq!(report.n_steps, 12, "{format}");
+    }
+}

@@ -6,8 +6,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use arrow::array::{
-    ArrayRef, AsArray, BooleanArray, FixedSizeListArray, Float32Array, Int64Array, ListArray,
-    RecordBatch, StringArray,
+    ArrayRef, AsArray, BooleanArray, FixedSizeListArray, Float32Array, Float64Array, Int64Array,
+    ListArray, RecordBatch, StringArray,
 };
 use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema};
 use ksim_datasets::{
@@ -213,6 +213,26 @@ fn a_null_action_ends_an_episode_and_nothing_else() {
         failure(with_null(2)),
         DatasetError::NullValue { row: 2, .. }
     ));
+}
+
+#[test]
+fn a_null_reward_inside_an_episode_is_no_final_observation() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("sparse.parquet");
+    let rewards: ArrayRef = Arc::new(Float64Array::from(vec![None, None, Some(1.0)]));
+    write(
+        &path,
+        vec![
+            ("obs", list(rows(3, 2))),
+            ("act", list(rows(3, 1))),
+            ("reward", rewards),
+        ],
+    );
+    let error = opened(&path).episodes().unwrap_err();
+    assert_eq!(
+        error.cause().to_string(),
+        "row 0 of column \"reward\" is null or holds a null"
+    );
 }
 
 #[test]

@@ -16,8 +16,8 @@ use arrow::array::{
 };
 use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
 use ksim_datasets::{
-    DatasetError, DatasetInfo, DatasetSource, EpisodeRecord, Format, LossEffect, OpenOptions, Scan,
-    SinkInput, WriteOptions, Written, conformance, create, open, schema,
+    DatasetError, DatasetInfo, DatasetSource, EpisodeEnd, EpisodeRecord, Format, Loss, LossEffect,
+    OpenOptions, Scan, SinkInput, WriteOptions, Written, conformance, create, open, schema,
 };
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -578,6 +578,72 @@ fn what_is_made_up_is_said() {
         opened(&path).episodes().unwrap()[0].attributes["tasks"],
         json!(["pick"])
     );
+}
+
+/// Episodes of these lengths with a final observation each.
+fn records(lengths: &[u64]) -> Vec<EpisodeRecord> {
+    let mut first_row = 0;
+    let record = |(episode_index, &length)| {
+        first_row += length + 1;
+        EpisodeRecord {
+            episode_index,
+            length,
+            first_row: first_row - length - 1,
+            n_rows: length + 1,
+            end: EpisodeEnd::Unknown,
+            has_final_obs: true,
+            seed: None,
+            success: None,
+            total_return: None,
+            attributes: serde_json::Map::new(),
+        }
+    };
+    (0..).zip(lengths).map(record).collect()
+}
+
+#[test]
+fn final_observations_are_no_steps_where_no_column_tells_them_apart() {
+    let rows = table(&Made {
+        with_final: true,
+        ..made(&[3, 9, 1])
+    });
+    let fields = rows.schema();
+    let keep: Vec<usize> = (0..rows.num_columns())
+        .filter(|place| {
+            let name = fields.field(*place).name();
+            name.ends_with("_index") || schema::belongs_to(name, schema::OBSERVATION)
+        })
+        .collect();
+    let rows = rows.project(&keep).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("out");
+    let options = WriteOptions::default();
+    let written = write(&path, &rows, &any_info(), &records(&[3, 9, 1]), &options).unwrap();
+    assert_eq!(written.info.n_steps, Some(13));
+    let is_final = |loss: &&Loss| loss.item == "final observations";
+    let dropped = written.losses.iter().find(is_final).unwrap();
+    assert_eq!(dropped.count, Some(3));
+}
+
+#[test]
+fn the_rate_asked_for_wins_over_the_recorded_one() {
+    let rows = table(&made(&[3]));
+    let metadata = HashMap::from([(schema::FPS.to_owned(), "30".to_owned())]);
+    let schema = rows.schema().as_ref().clone().with_metadata(metadata);
+    let rows = rows.with_schema(Arc::new(schema)).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    for (fps, expected, n_losses) in [(None, 30, 0), (Some(30.0), 30, 0), (Some(20.0), 20, 1)] {
+        let path = dir.path().join(format!("{fps:?}"));
+        let options = WriteOptions {
+            fps,
+            ..WriteOptions::default()
+        };
+        let written = write(&path, &rows, &any_info(), &[], &options).unwrap();
+        let about_rate = written.losses.iter().filter(|loss| loss.item == "fps");
+        assert_eq!(about_rate.count(), n_losses, "{fps:?}");
+        let info = read_json(&path.join("meta/info.json"));
+        assert_eq!(info["fps"], json!(expected), "{fps:?}");
+    }
 }
 
 #[test]

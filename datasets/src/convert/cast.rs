@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use arrow::array::{Array, ArrayRef, AsArray, FixedSizeListArray, RecordBatch};
 use arrow::compute::{CastOptions, cast, cast_with_options};
-use arrow::datatypes::{DataType, Field, Float64Type, Schema, SchemaRef};
+use arrow::datatypes::{DataType, Field, Float64Type, Int64Type, Schema, SchemaRef, UInt64Type};
 
 use super::space;
 use crate::error::{DatasetError, Result};
@@ -238,13 +238,25 @@ fn cast_values(
                 value: was,
             });
         }
-        let error = (was - after.value(place)).abs();
+        let after = after.value(place);
+        let exact = exact_error(values, place, after).filter(|_| report.to.is_floating());
+        let error = exact.unwrap_or_else(|| (was - after).abs());
         if error > 0.0 {
             report.n_changed += 1;
             report.max_abs_error = report.max_abs_error.max(error);
         }
     }
     Ok(casted)
+}
+
+/// Distance of a 64-bit integer, which `f64` may not hold, from what it became; `None` for other types.
+fn exact_error(values: &ArrayRef, place: usize, after: f64) -> Option<f64> {
+    let was = match values.data_type() {
+        DataType::Int64 => i128::from(values.as_primitive::<Int64Type>().value(place)),
+        DataType::UInt64 => i128::from(values.as_primitive::<UInt64Type>().value(place)),
+        _ => return None,
+    };
+    Some((was - after as i128).unsigned_abs() as f64)
 }
 
 #[cfg(test)]
@@ -289,6 +301,27 @@ mod tests {
         let report = casts.into_reports().remove(0);
         assert_eq!(report.n_changed, 1);
         assert_eq!(report.max_abs_error, (0.1 - f64::from(0.1_f32)).abs());
+    }
+
+    #[test]
+    fn integers_beyond_what_floats_hold_are_counted() {
+        let fields = vec![
+            Field::new(schema::EPISODE_INDEX, DataType::Int64, false),
+            Field::new("observation", DataType::Int64, false),
+        ];
+        let values: ArrayRef = Arc::new(Int64Array::from(vec![1 << 53, (1 << 53) + 1]));
+        let episodes = Arc::new(Int64Array::from(vec![7, 7]));
+        let batch = RecordBatch::try_new(Arc::new(Schema::new(fields)), vec![episodes, values]);
+        let batch = batch.unwrap();
+        for (data_type, n_changed) in [(DataType::Float64, 1), (DataType::UInt64, 0)] {
+            let mut casts = Casts::new(&batch.schema(), &to(data_type)).unwrap();
+            casts.apply(&batch, &[7, 7], 0).unwrap();
+            let report = casts.into_reports().remove(0);
+            assert_eq!(
+                (report.n_changed, report.max_abs_error),
+                (n_changed, n_changed as f64)
+            );
+        }
     }
 
     #[test]

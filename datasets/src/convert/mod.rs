@@ -108,7 +108,7 @@ pub fn convert(
         .episodes
         .is_some()
         .then(|| episodes.iter().map(|e| e.episode_index).collect());
-    check_target(target, options.write.overwrite).map_err(|e| e.in_file(target))?;
+    check_target(target, options.format, options.write.overwrite).map_err(|e| e.in_file(target))?;
 
     let input = SinkInput {
         schema: &casted,
@@ -134,6 +134,14 @@ pub fn convert(
         if on_progress(progress).is_break() {
             return Err(DatasetError::Interrupted);
         }
+    }
+    if run.rows != of {
+        let rows = DatasetError::LengthMismatch {
+            key: "rows of the chosen episodes".to_owned(),
+            actual: run.rows,
+            expected: of,
+        };
+        return Err(in_source(rows));
     }
     let written = sink.finish()?;
     Ok(ConvertReport {
@@ -176,14 +184,25 @@ fn with_records(schema: &SchemaRef, episodes: &[EpisodeRecord], format: Format) 
     Arc::new(Schema::new_with_metadata(schema.fields().clone(), metadata))
 }
 
-/// Refuses a destination that is taken; with `overwrite`, only a folder that is no dataset is refused.
-fn check_target(target: &Path, overwrite: bool) -> Result<()> {
+/// Refuses a destination that is taken; with `overwrite`, only one that cannot be replaced: a folder by a file or a
+/// file by a folder, or a folder that is no dataset.
+fn check_target(target: &Path, format: Format, overwrite: bool) -> Result<()> {
     if !is_occupied(target) {
         return Ok(());
     }
-    match overwrite {
-        false => Err(DatasetError::AlreadyExists),
-        true if target.is_dir() => detect(target).map(|_| ()),
-        true => Ok(()),
+    let is_folder = target.is_dir();
+    if !overwrite || is_folder != is_folder_of_files(format) {
+        return Err(DatasetError::AlreadyExists);
     }
+    // A folder with a recording in it may hold anything else, and nothing that is written is one.
+    match is_folder.then(|| detect(target)).transpose()? {
+        Some(found) if !is_folder_of_files(found) => Err(DatasetError::AlreadyExists),
+        _ => Ok(()),
+    }
+}
+
+/// Whether a dataset of this format is a folder of its own.
+fn is_folder_of_files(format: Format) -> bool {
+    use Format::{LeRobot, MinariArrow, MinariHdf5, MinariParquet};
+    matches!(format, LeRobot | MinariArrow | MinariHdf5 | MinariParquet)
 }

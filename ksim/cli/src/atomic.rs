@@ -133,7 +133,8 @@ pub(crate) fn check_target(target: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Refuses a target that is one of the files to read, by whatever name, or inside a folder to read.
+/// Refuses a target that is one of the files to read, by whatever name, inside a folder to read, or a folder around
+/// one of them.
 pub(crate) fn check_not_an_input<'a>(
     target: &Path,
     inputs: impl IntoIterator<Item = &'a Path>,
@@ -142,10 +143,10 @@ pub(crate) fn check_not_an_input<'a>(
         return Ok(()); // nothing is there yet
     };
     for input in inputs {
-        let inside = input
+        let nested = input
             .canonicalize()
-            .is_ok_and(|input| found.starts_with(input));
-        if inside || is_same_file(&found, input) {
+            .is_ok_and(|input| found.starts_with(&input) || input.starts_with(&found));
+        if nested || is_same_file(&found, input) {
             bail!(
                 "{} would replace what is read from {}: choose another file to write",
                 target.display(),
@@ -242,6 +243,7 @@ mod tests {
             assert!(check("soft").is_err() && check("hard").is_err());
         }
         assert!(check_not_an_input(&input, [folder.path()]).is_err());
+        assert!(check_not_an_input(folder.path(), [&*input]).is_err());
     }
 
     #[cfg(unix)]

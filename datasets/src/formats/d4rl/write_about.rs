@@ -129,11 +129,19 @@ pub(super) fn describe(
     let Some(text) = input.schema.metadata().get(schema::SOURCE_METADATA) else {
         return Ok(());
     };
-    let metadata: Map<String, Value> =
-        serde_json::from_str(text).map_err(|source| DatasetError::Json {
-            what: schema::SOURCE_METADATA.to_owned(),
-            source,
-        })?;
+    let metadata = match serde_json::from_str(text) {
+        Ok(Value::Object(metadata)) => metadata,
+        // Recordings have a list, one entry for each file.
+        Ok(_) => {
+            let detail = "only single values of D4RL's own are kept";
+            losses.push(Loss::new(METADATA, LossEffect::Dropped, detail));
+            return Ok(());
+        }
+        Err(source) => {
+            let what = schema::SOURCE_METADATA.to_owned();
+            return Err(DatasetError::Json { what, source });
+        }
+    };
     let mut left_out = Vec::new();
     match is_d4rl(input) {
         true => write_metadata(file, METADATA, &metadata, &mut left_out)?,

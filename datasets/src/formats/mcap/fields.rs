@@ -317,6 +317,15 @@ impl Values {
             .eq(self.seen.0.iter().map(String::as_str))
         {
             self.seen.0 = source.texts(names_slot).map(str::to_owned).collect();
+            let is_twice =
+                |name: &&String| self.seen.0.iter().filter(|seen| seen == name).count() > 1;
+            if let Some(name) = wanted.iter().find(is_twice) {
+                return Err(format!(
+                    "{} has the name \"{}\" twice (say `names_field = \"\"` to take values by their place)",
+                    self.label(),
+                    name.escape_debug()
+                ));
+            }
             self.seen.1 = wanted
                 .iter()
                 .map(|name| self.seen.0.iter().position(|seen| seen == name))

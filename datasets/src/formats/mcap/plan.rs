@@ -78,8 +78,11 @@ pub(crate) fn episodes(survey: &Survey, mapping: &Mapping) -> Result<Episodes> {
         add_pieces(survey, mapping, (&span, times), &mut out)?;
         for piece in out.episodes.iter_mut().skip(before) {
             piece.has_final = ends_with_observation;
-            piece.success = success(survey, mapping, &span);
             piece.task = task(survey, mapping, piece.end);
+        }
+        // Only the end of what was cut can have reached the goal; of the rest nothing is known.
+        if let Some(last) = out.episodes.iter_mut().skip(before).next_back() {
+            last.success = success(survey, mapping, &span);
         }
     }
     let found = out.episodes.len();
@@ -244,6 +247,12 @@ fn indexed(survey: &Survey, mapping: &Mapping, topic: &str, out: &mut Episodes) 
                 row: n_rows,
                 episode: first.episode,
             });
+        }
+        if let Some(pair) = run.windows(2).find(|pair| pair[0].time == pair[1].time) {
+            return Err(DatasetError::corrupt(format!(
+                "two rows of episode {} are numbered at {} ns: columns match by time",
+                first.episode, pair[0].time
+            )));
         }
         n_rows += run.len() as u64;
         let acts = |column: &&Column| {

@@ -9,9 +9,10 @@ use arrow::datatypes::SchemaRef;
 use super::align::Pick;
 use super::bind::{ChannelReader, Layout};
 use super::feeds::{Feed, Store, Window, add_picks, numbers, ranks};
-use super::mapping::{Column, From, Mapping};
+use super::mapping::{Clock, Column, From, Mapping};
 use super::plan::Episode;
 use super::rows::{self, Rows};
+use super::survey::time_of;
 use super::track::Track;
 use super::{Channel, MessageOptions, Messages, Recording};
 use crate::error::{DatasetError, Result};
@@ -204,6 +205,14 @@ impl<'a> FileScan<'a> {
         let Some(rank) = rank else {
             return Ok(Some(*topic_index));
         };
+        // Ranks are places in the file: were one message more or less delivered now, all after it would be taken
+        // for their neighbors.
+        let clock = self.input.mapping.clock;
+        if clock != Clock::Header
+            && time_of(&message, clock, None)? != topic.track.times.get(rank).copied()
+        {
+            return Err(message.error("it was not here when the recording was opened"));
+        }
         let mut is_loaded = false;
         for (at, store) in topic.stores.iter().enumerate() {
             let Some(store) = self.stores.get_mut(*store) else {

@@ -10,7 +10,7 @@ mod rows;
 mod scan;
 mod table;
 
-pub(crate) use columns::Role;
+pub(crate) use columns::{FilePlan, Role};
 pub use names::ColumnNames;
 pub(crate) use scan::{TableReader, TableScan};
 pub(crate) use table::{FIRST_ROWS, Table};

@@ -174,7 +174,7 @@ fn relabel(array: &ArrayRef, plan: &ColumnPlan) -> Result<ArrayRef> {
         .map_err(DatasetError::arrow("read a column"))
 }
 
-/// Checks that a null action stands only in the last row of its episode.
+/// Checks that a null (of an action, reward or flag) stands only in the last row of its episode.
 ///
 /// `pending` carries the null row that ends a batch over to the next one.
 ///

@@ -1,6 +1,6 @@
 //! A pass over a file of columns.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
 use arrow::array::{
@@ -37,7 +37,9 @@ pub(crate) struct TableScan<'a> {
     episodes: Option<HashSet<i64>>,
     tracker: EpisodeTracker,
     names: EpisodeNames,
-    null_action: Option<(i64, u64)>,
+    /// By place in the schema: the null row that ends a batch, of columns that are null in the last row of an
+    /// episode only.
+    nulls: BTreeMap<usize, Option<(i64, u64)>>,
 }
 
 impl<'a> TableScan<'a> {
@@ -50,14 +52,16 @@ impl<'a> TableScan<'a> {
         // Episode and step are always read: they are what the rows are checked by.
         let is_read =
             |column: &&ColumnPlan| is_index(column) || schema.index_of(column.field.name()).is_ok();
+        let steps =
+            step_columns(table).filter_map(|column| schema.index_of(column.field.name()).ok());
         Ok(Self {
+            nulls: steps.map(|place| (place, None)).collect(),
             columns: table.columns.iter().filter(is_read).collect(),
             table,
             schema,
             episodes: (scan.episodes.as_ref()).map(|wanted| wanted.iter().copied().collect()),
             tracker: EpisodeTracker::default(),
             names: EpisodeNames::default(),
-            null_action: None,
         })
     }
 
@@ -110,7 +114,7 @@ impl<'a> TableScan<'a> {
         let (episodes, steps) = self.index_columns(&batch, first_row)?;
         let keep = self.wanted(&episodes);
         if keep.as_ref().is_some_and(|keep| keep.true_count() == 0) {
-            self.null_action = None;
+            self.nulls.values_mut().for_each(|null| *null = None);
             return Ok(None);
         }
         let batch = reader.complete(batch)?;
@@ -130,21 +134,11 @@ impl<'a> TableScan<'a> {
                 }
             });
         }
-        let action = self
-            .columns
-            .iter()
-            .find(|column| column.role == Role::Action);
-        if let Some(column) = action
-            && let Some((place, _)) = self.schema.column_with_name(column.field.name())
-        {
-            let name = self.name(column);
-            check_action(
-                name,
-                &arrays[place],
-                &episodes,
-                &mut self.null_action,
-                first_row,
-            )?;
+        for (&place, pending) in &mut self.nulls {
+            let name = self.schema.field(place).name();
+            let column = self.columns.iter().find(|c| c.field.name() == name);
+            let name = column.map_or(name, |column| self.table.file.field(column.source).name());
+            check_action(name, &arrays[place], &episodes, pending, first_row)?;
         }
         self.assemble(arrays, episodes.len(), keep).map(Some)
     }
@@ -198,6 +192,16 @@ impl<'a> TableScan<'a> {
                 .map_err(DatasetError::arrow("choose episodes")),
         }
     }
+}
+
+/// The columns that have a value in every step: the first action, reward and flags.
+fn step_columns(table: &Table) -> impl Iterator<Item = &ColumnPlan> {
+    let scalars = [schema::REWARD, schema::TERMINATED, schema::TRUNCATED];
+    let action = table.columns.iter().find(|c| c.role == Role::Action);
+    let others = table.columns.iter();
+    action
+        .into_iter()
+        .chain(others.filter(move |c| scalars.contains(&c.field.name().as_str())))
 }
 
 fn is_index(column: &ColumnPlan) -> bool {

@@ -40,6 +40,44 @@ fn a_dataset_is_converted_and_the_report_says_what_became_of_it() {
 }
 
 #[test]
+fn what_is_there_stays_unless_it_can_be_replaced() {
+    let demo = Demo::new();
+    let (from, to) = (demo.at("good.parquet"), demo.at("out.parquet"));
+    assert_eq!(ksim(["convert", &from, &to]).code, 0);
+    let before = std::fs::read(&to).unwrap();
+    // A file without actions could not be opened again.
+    let without = [
+        "convert",
+        &from,
+        &to,
+        "--overwrite",
+        "--columns",
+        "observation",
+    ];
+    ksim(without).failed(1, &["no action column"]);
+    assert_eq!(std::fs::read(&to).unwrap(), before);
+    // A folder with a recording in it may hold anything else.
+    let folder = demo.at("recordings");
+    std::fs::create_dir(&folder).unwrap();
+    std::fs::write(format!("{folder}/run.mcap"), "").unwrap();
+    let over = ["convert", &from, &folder, "--to", "lerobot", "--overwrite"];
+    ksim(over).failed(1, &["there is something already"]);
+    // A folder around what is read.
+    let inside = format!("{folder}/in.parquet");
+    std::fs::copy(&from, &inside).unwrap();
+    let around = [
+        "convert",
+        &inside,
+        &folder,
+        "--to",
+        "lerobot",
+        "--overwrite",
+    ];
+    ksim(around).failed(1, &["would replace what is read"]);
+    assert!(std::fs::metadata(&inside).is_ok());
+}
+
+#[test]
 fn wrong_usage_is_told_before_anything_is_read() {
     let demo = Demo::new();
     let from = demo.at("good.parquet");

@@ -21,7 +21,7 @@ pub(super) struct Rate {
 }
 
 impl Rate {
-    /// By the source's record, else by the option; with times in the rows it may come later.
+    /// By the option, else by the source's record; with times in the rows it may come later.
     ///
     /// # Errors
     /// An option that is no positive number.
@@ -44,7 +44,13 @@ impl Rate {
             fps: None,
             has_time: schema.index_of(schema::T_NS).is_ok(),
         };
-        if let Some(fps) = recorded.or(option) {
+        if let (Some(recorded), Some(option)) = (recorded, option)
+            && recorded != option
+        {
+            let detail = format!("the source records {recorded}, {option} was asked for");
+            losses.push(loss(schema::FPS, LossEffect::Changed, detail));
+        }
+        if let Some(fps) = option.or(recorded) {
             rate.set(fps, losses);
         }
         Ok(rate)

@@ -1,5 +1,6 @@
 //! The sink.
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -48,6 +49,8 @@ pub(in crate::formats::lerobot) struct LeRobotSink {
     file_schema: Arc<Schema>,
     /// A column that is null in final-observation rows only.
     marker: Option<String>,
+    /// Steps of each episode, where no column tells them from final observations.
+    lengths: HashMap<i64, i64>,
     rate: Rate,
     /// Rows that wait until the rate is known.
     waiting: Vec<RecordBatch>,
@@ -114,8 +117,14 @@ impl LeRobotSink {
             .path()
             .join("meta/episodes/chunk-000/file-000.parquet");
         let table = EpisodeTable::create(&table_path, &with_stats, input.episodes, &mut losses)?;
+        let marker = marker(&schema);
+        let unmarked = input.episodes.iter().filter(|_| marker.is_none());
+        let length = |n: u64| i64::try_from(n).unwrap_or(i64::MAX);
         Ok(Self {
-            marker: marker(&schema),
+            lengths: unmarked
+                .map(|episode| (episode.episode_index, length(episode.length)))
+                .collect(),
+            marker,
             robot_type: meta::robot_type(&schema, options),
             staged,
             schema,
@@ -177,10 +186,23 @@ impl LeRobotSink {
                     tasks: Vec::new(),
                 });
             }
-            self.write_run(&batch.slice(start, run.len()))?;
+            let n_steps = self.n_steps_of(run);
+            self.counts.final_rows += (run.len() - n_steps) as u64;
+            if n_steps > 0 {
+                self.write_run(&batch.slice(start, n_steps))?;
+            }
             start += run.len();
         }
         Ok(())
+    }
+
+    /// How many of the next rows of the episode at hand are steps.
+    fn n_steps_of(&self, run: &[i64]) -> usize {
+        let length = run.first().and_then(|episode| self.lengths.get(episode));
+        let left = length.map(|length| length - self.current.as_ref().map_or(0, |c| c.n_steps));
+        left.map_or(run.len(), |left| {
+            usize::try_from(left).unwrap_or(0).min(run.len())
+        })
     }
 
     /// Writes rows of the episode at hand.

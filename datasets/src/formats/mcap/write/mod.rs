@@ -74,7 +74,7 @@ impl McapSink {
         let index = [schema::EPISODE_INDEX, schema::STEP_INDEX].map(str::to_owned);
         schema::project(input.schema, Some(&index))?;
         let (groups, mut losses) = groups::groups(input.schema);
-        let fps = recorded_fps(input.schema).or(options.fps);
+        let fps = options.fps.or_else(|| recorded_fps(input.schema));
         if input.schema.index_of(schema::T_NS).is_err() {
             let detail = match fps {
                 Some(fps) => format!("no times are recorded: steps are {fps} a second"),

@@ -65,6 +65,14 @@ impl DatasetMetadata {
             (Some(spec), _) | (None, Some(spec)) => Some(spec.to_owned()),
             (None, None) => input.info.env_spec.as_ref().map(Value::to_string),
         };
+        let env_spec = env_spec.filter(|spec| {
+            let is_kept = is_gymnasium_spec(spec);
+            if !is_kept {
+                let detail = "it is no specification of Gymnasium, and Minari would not open the dataset with it";
+                losses.push(Loss::new("env_spec", LossEffect::Dropped, detail));
+            }
+            is_kept
+        });
         let encoded = jpeg_encoding([&observation, &action])?;
         let encoded = encoded.or_else(|| fields.get("jpeg_encoding").and_then(Value::as_bool));
         let mut set = |key: &str, value: Value| fields.insert(key.to_owned(), value);
@@ -117,6 +125,12 @@ impl DatasetMetadata {
             .and_then(|()| file.sync_all())
             .map_err(|e| DatasetError::io("write", e))
     }
+}
+
+/// Whether Gymnasium's `EnvSpec.from_json` takes it: it looks for these keys.
+fn is_gymnasium_spec(spec: &str) -> bool {
+    let spec = serde_json::from_str::<Map<String, Value>>(spec);
+    spec.is_ok_and(|spec| spec.contains_key("id") && spec.contains_key("additional_wrappers"))
 }
 
 /// The fields of a source that is Minari's; those of others have no place.
