@@ -5,20 +5,21 @@
 #[path = "support/tables.rs"]
 #[expect(dead_code, reason = "shared with the tests of other writers")]
 mod tables;
+#[path = "support/writing.rs"]
+#[expect(dead_code, reason = "shared with the tests of other writers")]
+mod writing;
 
-use arrow::array::RecordBatch;
+use std::sync::Arc;
+
+use arrow::array::{ArrayRef, FixedSizeListArray, Int64Array, RecordBatch};
+use arrow::datatypes::Float64Type;
 use ksim_datasets::{
-    DatasetSource, Format, LossEffect, McapEncoding, OpenOptions, Scan, WriteOptions, conformance,
-    copy, create, open,
+    DatasetSource, Format, LossEffect, McapEncoding, OpenOptions, WriteOptions, conformance, copy,
+    create, open,
 };
 use proptest::prelude::*;
-
-fn rows(source: &dyn DatasetSource) -> RecordBatch {
-    let reader = source.scan(&Scan::default()).unwrap();
-    let schema = reader.schema();
-    let batches: Vec<_> = reader.collect::<Result<_, _>>().unwrap();
-    arrow::compute::concat_batches(&schema, &batches).unwrap()
-}
+use serde_json::json;
+use writing::{python, rows};
 
 /// Bits of all values, with those of nulls left out.
 fn same(a: &RecordBatch, b: &RecordBatch) {
@@ -89,4 +90,50 @@ proptest! {
     fn json_recordings_are_read_back_bit_by_bit(table in tables::tables(tables::Allowed::default())) {
         round_trip(&table, McapEncoding::Json);
     }
+}
+
+#[test]
+fn written_recordings_are_read_by_the_official_library() {
+    let folder = tempfile::tempdir().unwrap();
+    let list = |row: i64| Some([row as f64 + 0.1, -1e300].map(Some));
+    let lists = FixedSizeListArray::from_iter_primitive::<Float64Type, _, _>((0..5).map(list), 2);
+    let lists: ArrayRef = Arc::new(lists);
+    let columns: [(&str, ArrayRef); 3] = [
+        (
+            "episode_index",
+            Arc::new(Int64Array::from(vec![0, 0, 0, 4, 4])),
+        ),
+        ("observation", Arc::clone(&lists)),
+        ("action", lists),
+    ];
+    let batch = RecordBatch::try_from_iter(columns).unwrap();
+    let parquet = folder.path().join("in.parquet");
+    let file = std::fs::File::create(&parquet).unwrap();
+    let mut writer = parquet::arrow::ArrowWriter::try_new(file, batch.schema(), None).unwrap();
+    writer.write(&batch).unwrap();
+    writer.close().unwrap();
+    let source = open(&parquet, &OpenOptions::default()).unwrap();
+    let path = folder.path().join("out.mcap");
+    let options = WriteOptions::default();
+    writing::round_trip(source.as_ref(), &path, Format::Mcap, &options);
+
+    let modules = "mcap, mcap_protobuf";
+    let Some(read) = python("check_mcap.py", modules, &[&path]) else {
+        return;
+    };
+    let (topics, messages) = (&read[0]["topics"], &read[0]["messages"]);
+    for topic in ["/observation", "/action", "/step"] {
+        assert_eq!(topics[topic], 5, "{topics}");
+    }
+    for row in 0..5_usize {
+        let values = json!([row as f64 + 0.1, -1e300]);
+        assert_eq!(messages["/observation"][row]["observation"], values);
+        assert_eq!(messages["/action"][row]["action"], values);
+        let times = [
+            &messages["/step"][row]["log_time"],
+            &messages["/action"][row]["log_time"],
+        ];
+        assert_eq!(times[0], times[1]);
+    }
+    assert_eq!(messages["/step"][3]["episode_index"], 4);
 }
