@@ -1,4 +1,4 @@
-//! What every [`DatasetSource`] and [`DatasetSink`] must hold to. For tests: the checks panic.
+//! What every [`DatasetSource`] and [`crate::DatasetSink`] must hold to. For tests: the checks panic.
 
 use std::path::Path;
 

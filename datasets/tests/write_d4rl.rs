@@ -1,6 +1,6 @@
 //! The D4RL writer: round trips, also by way of Minari, and D4RL's own rules as the judge.
-#![expect(clippy::unwrap_used, reason = "tests")]
 #![cfg(feature = "hdf5")]
+#![expect(clippy::unwrap_used, reason = "tests")]
 
 #[path = "support/mod.rs"]
 #[expect(dead_code, reason = "shared with the golden tests")]

@@ -1,6 +1,6 @@
 //! The Minari writers: round trips through every storage, and the Minari library as the judge.
-#![expect(clippy::unwrap_used, reason = "tests")]
 #![cfg(feature = "hdf5")]
+#![expect(clippy::unwrap_used, reason = "tests")]
 
 #[path = "support/mod.rs"]
 #[expect(dead_code, reason = "shared with the golden tests")]

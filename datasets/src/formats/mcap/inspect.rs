@@ -53,11 +53,11 @@ pub struct TopicInspection {
     pub span_ns: Option<(u64, u64)>,
     /// Messages per second: one over the median time between two; `None` for fewer than two messages.
     pub rate_hz: Option<f64>,
-    /// Median distance of the times between messages from their median [ms].
+    /// Median distance of the times between messages from their median \[ms\].
     pub jitter_ms: Option<f64>,
-    /// Longest time between two messages of a file [s].
+    /// Longest time between two messages of a file \[s\].
     pub largest_gap_s: Option<f64>,
-    /// Median of log time minus the time stamp inside the message [ms]; `None` if there is no stamp.
+    /// Median of log time minus the time stamp inside the message \[ms\]; `None` if there is no stamp.
     pub skew_ms: Option<f64>,
     /// The fields of its messages.
     pub fields: Vec<FieldDescription>,

@@ -24,7 +24,7 @@ use crate::output::OutputFormat;
 #[derive(Debug, Clone, Args)]
 #[cfg_attr(
     not(feature = "download"),
-    expect(dead_code, reason = "the command only says what it lacks")
+    allow(dead_code, reason = "the command only says what it lacks")
 )]
 pub(crate) struct DownloadArgs {
     /// What to fetch
