@@ -9,11 +9,12 @@ use arrow::datatypes::SchemaRef;
 
 use crate::episode::EpisodeRecord;
 use crate::error::{DatasetError, Result};
-use crate::format::Format;
+use crate::format::{Format, OpenOptions, open};
 use crate::formats::parquet::ParquetSink;
 use crate::formats::tabular::{ColumnNames, FilePlan};
 use crate::formats::{hdf5_writing, ipc, lerobot, mcap_files, minari};
 use crate::source::{DatasetInfo, DatasetSource, Scan};
+use crate::staging::Staged;
 
 /// Write side. Nothing is visible at the destination until `finish` succeeds; a sink that is dropped before
 /// leaves nothing behind.
@@ -218,6 +219,20 @@ pub fn create(
         }),
     };
     created.map_err(|error| error.in_file(path))
+}
+
+/// Checks that what was written can be read, puts it in its place, and describes it.
+///
+/// # Errors
+/// It cannot be read or put there; what stood at the target still does.
+pub(crate) fn publish(staged: Staged, losses: Vec<Loss>) -> Result<Written> {
+    let target = staged.target().to_owned();
+    let options = OpenOptions::default();
+    // Before it takes the place of something that can be read.
+    drop(open(staged.path(), &options)?);
+    staged.publish()?;
+    let info = open(&target, &options)?.info().clone();
+    Ok(Written { info, losses })
 }
 
 /// Writes all rows of a dataset; the caller finishes the sink. Gives the number of rows.

@@ -12,12 +12,13 @@ use super::flat::{ACTIONS, NEXT_OBSERVATIONS, OBSERVATIONS, REWARDS, TERMINALS, 
 use super::write_about::{describe, note_episodes};
 use super::write_plan::{Concat, Info, Next, Plan, Scalar};
 use crate::error::{DatasetError, Result};
-use crate::format::OpenOptions;
 use crate::formats::episode_rows::{EpisodeCursor, EpisodePiece, flat_values, refuse_nulls};
 use crate::formats::fill::{concat, without_nulls};
 use crate::formats::hdf5::{ArrayPlan, ArrayWriter, close_file, create_file};
 use crate::schema;
-use crate::sink::{DatasetSink, Loss, LossEffect, LossTally, SinkInput, WriteOptions, Written};
+use crate::sink::{
+    DatasetSink, Loss, LossEffect, LossTally, SinkInput, WriteOptions, Written, publish,
+};
 use crate::staging::Staged;
 
 /// D4RL's own level of deflate.
@@ -236,7 +237,6 @@ impl D4rlSink {
 
     fn place(self) -> Result<Written> {
         let Self {
-            path,
             staged,
             file,
             cursor,
@@ -248,11 +248,8 @@ impl D4rlSink {
         cursor.finish()?;
         drop(arrays);
         close_file(file, staged.path())?;
-        staged.publish()?;
         losses.extend(tally.into_losses());
-        let info = super::D4rlSource::open(&path, &OpenOptions::default())?;
-        let info = crate::source::DatasetSource::info(&info).clone();
-        Ok(Written { info, losses })
+        publish(staged, losses)
     }
 }
 

@@ -11,9 +11,8 @@ use arrow::ipc::writer::FileWriter;
 
 use crate::episode::records_json;
 use crate::error::{DatasetError, Result};
-use crate::format::OpenOptions;
 use crate::schema;
-use crate::sink::{DatasetSink, SinkInput, WriteOptions, Written};
+use crate::sink::{DatasetSink, SinkInput, WriteOptions, Written, publish};
 use crate::staging::Staged;
 
 /// A record batch is closed at the first episode border after this many rows or bytes.
@@ -146,13 +145,7 @@ impl IpcSink {
             .into_inner()
             .map_err(|e| DatasetError::io("write", e.into_error()))?;
         file.sync_all().map_err(|e| DatasetError::io("write", e))?;
-        self.staged.publish()?;
-        Ok(Written {
-            info: super::open(&self.path, &OpenOptions::default())?
-                .info()
-                .clone(),
-            losses: Vec::new(),
-        })
+        publish(self.staged, Vec::new())
     }
 }
 

@@ -11,9 +11,8 @@ use parquet::file::properties::{WriterProperties, WriterPropertiesBuilder};
 use parquet::schema::types::ColumnPath;
 
 use crate::error::{DatasetError, Result};
-use crate::formats::tabular::ColumnNames;
 use crate::schema;
-use crate::sink::{DatasetSink, Written};
+use crate::sink::{DatasetSink, Written, publish};
 use crate::staging::Staged;
 
 /// A row group is closed at the first episode border after this many rows, so that no episode straddles two
@@ -117,11 +116,7 @@ impl DatasetSink for ParquetSink {
                 .into_inner()
                 .map_err(DatasetError::parquet("finish a Parquet file"))?;
             file.sync_all().map_err(|e| DatasetError::io("write", e))?;
-            staged.publish()?;
-            Ok(Written {
-                info: super::open(&path, &ColumnNames::default())?.info().clone(),
-                losses: Vec::new(),
-            })
+            publish(staged, Vec::new())
         };
         place().map_err(|error| error.in_file(&path))
     }

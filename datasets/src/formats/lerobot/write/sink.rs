@@ -12,7 +12,6 @@ use serde_json::{Map, Value, json};
 
 use super::super::columns::{FRAME_INDEX, INDEX, TASK_INDEX, TIMESTAMP};
 use super::super::info::{DATA_PATH_V3, INFO_PATH};
-use super::super::read::LeRobotSource;
 use super::super::rows::grid_ns;
 use super::super::tasks::TASKS_PATH;
 use super::arrays::{convert, numbers};
@@ -25,10 +24,8 @@ use super::tasks::Tasks;
 use super::{files, meta};
 use crate::episode::{action_column, column};
 use crate::error::{DatasetError, Result};
-use crate::format::OpenOptions;
 use crate::schema;
-use crate::sink::{DatasetSink, Loss, LossEffect, SinkInput, WriteOptions, Written};
-use crate::source::DatasetSource;
+use crate::sink::{DatasetSink, Loss, LossEffect, SinkInput, WriteOptions, Written, publish};
 use crate::staging::Staged;
 
 /// A data file is followed by the next one when it has this many bytes.
@@ -429,13 +426,7 @@ impl LeRobotSink {
             &meta::pretty(&Value::Object(stats))?,
         )?;
         files::write_text(&staged.path().join(INFO_PATH), &meta::pretty(&info)?)?;
-        let target = staged.target().to_owned();
-        staged.publish()?;
-        let source = LeRobotSource::open(&target, &OpenOptions::default())?;
-        Ok(Written {
-            info: source.info().clone(),
-            losses,
-        })
+        publish(staged, losses)
     }
 }
 

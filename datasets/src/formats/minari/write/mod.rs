@@ -22,9 +22,9 @@ use serde_json::{Map, Value};
 pub(crate) use self::hdf5::create as create_hdf5;
 
 use crate::error::{DatasetError, Result};
-use crate::format::{Format, OpenOptions};
+use crate::format::Format;
 use crate::formats::episode_rows::EpisodeCursor;
-use crate::sink::{DatasetSink, Loss, LossTally, SinkInput, WriteOptions, Written};
+use crate::sink::{DatasetSink, Loss, LossTally, SinkInput, WriteOptions, Written, publish};
 use crate::staging::Staged;
 use columns::Columns;
 use episodes::{Fates, rows};
@@ -88,7 +88,6 @@ pub(super) trait EpisodeStore: Send {
 /// A dataset folder that is being written.
 struct MinariSink {
     path: PathBuf,
-    format: Format,
     staged: Staged,
     cursor: EpisodeCursor,
     fates: Fates,
@@ -120,7 +119,6 @@ pub(super) fn create(
     let store = store(&data, &columns, &mut losses)?;
     Ok(Box::new(MinariSink {
         path: path.to_owned(),
-        format,
         staged,
         cursor: EpisodeCursor::new(input),
         fates,
@@ -161,12 +159,7 @@ impl MinariSink {
         self.store.finish()?;
         let data = self.staged.path().join("data");
         self.metadata.write(&data, &self.fates)?;
-        self.staged.publish()?;
-        let info = crate::format::open(&self.path, &OpenOptions::default())?
-            .info()
-            .clone();
-        debug_assert_eq!(info.format, self.format);
-        Ok(Written { info, losses })
+        publish(self.staged, losses)
     }
 }
 
