@@ -23,6 +23,7 @@ use super::picture;
 use crate::error::{DatasetError, Result};
 use crate::schema;
 use crate::source::Warning;
+use crate::spec::arrow_type;
 
 /// Feature: seconds since the start of the episode.
 pub(super) const TIMESTAMP: &str = "timestamp";
@@ -379,22 +380,11 @@ pub(super) fn value_type(data_type: &DataType) -> DataType {
 
 /// The type that a dtype names.
 fn declared_type(dtype: &str) -> Option<DataType> {
-    Some(match dtype {
-        "bool" => DataType::Boolean,
-        "int8" => DataType::Int8,
-        "int16" => DataType::Int16,
-        "int32" => DataType::Int32,
-        "int64" => DataType::Int64,
-        "uint8" => DataType::UInt8,
-        "uint16" => DataType::UInt16,
-        "uint32" => DataType::UInt32,
-        "uint64" => DataType::UInt64,
-        "float16" => DataType::Float16,
-        "float32" => DataType::Float32,
-        "float64" => DataType::Float64,
-        "string" => DataType::Utf8,
-        _ => return None,
-    })
+    match dtype {
+        "bool" => Some(DataType::Boolean),
+        "string" => Some(DataType::Utf8),
+        number => arrow_type(number),
+    }
 }
 
 /// The dtype of a type.

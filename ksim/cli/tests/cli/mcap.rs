@@ -51,7 +51,7 @@ fn golden_mcap_a_recording_is_inspected_mapped_and_scored() {
     assert_eq!(info.code, 0, "{}", info.stderr);
     let score = ["score", &file, "--dataset", &file, "--format", "json"];
     let document = ksim(score.into_iter().chain(flags)).json();
-    assert_eq!(document["rollouts"][0]["n_episodes"], 1, "{document}");
+    assert_eq!(document["results"][0]["n_episodes"], 1, "{document}");
 
     let out = at("out.parquet");
     let convert = ksim(["convert", &file, &out].into_iter().chain(flags));
