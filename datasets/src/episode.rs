@@ -85,14 +85,14 @@ pub(crate) fn derive_episodes(source: &dyn DatasetSource) -> Result<Vec<EpisodeR
         .skip(1)
         .find(|name| *name != schema::INFO_SUCCESS)
         .cloned();
-    let marker = match marker {
-        Some(name) => name,
-        None => {
-            let name = action_column(&schema)?;
+    // Without any of them every row is a step: no number of an episode is null.
+    let marker = marker.unwrap_or_else(|| match action_column(&schema) {
+        Ok(name) => {
             wanted.push(name.clone());
             name
         }
-    };
+        Err(_) => schema::EPISODE_INDEX.to_owned(),
+    });
     let mut fold = EpisodeFold::default();
     for batch in source.scan(&Scan {
         columns: Some(wanted),

@@ -126,3 +126,71 @@ fn rows_numbered_at_the_same_time_are_refused() {
     let error = failure(&path);
     assert!(error.contains("two rows of episode 0"), "{error}");
 }
+
+const NUMBERED: &str = "[index]\ntopic = \"/step\"\nepisode = \"episode\"\nstep = \"step\"\n\
+     [observation.q]\ntopic = \"/q\"\nfield = \"position\"\ndtype = \"float64\"\nshape = [1]\n\
+     [action.u]\ntopic = \"/u\"\nfield = \"position\"\ndtype = \"float64\"\nshape = [1]\nmissing = \"null\"\n\
+     [action.v]\ntopic = \"/v\"\nfield = \"position\"\ndtype = \"float64\"\nshape = [1]\nmissing = \"null\"\n";
+
+/// Three rows of one episode, with messages left out (or left empty).
+fn numbered(absent: &[(&str, u64)], empty: &[(&str, u64)]) -> Vec<Said> {
+    let mut messages = Vec::new();
+    for ms in 1..4 {
+        messages.push(("/step", ms, json!({ "episode": 0, "step": ms - 1 })));
+        for topic in ["/q", "/u", "/v"] {
+            if empty.contains(&(topic, ms)) {
+                messages.push((topic, ms, json!({})));
+            } else if !absent.contains(&(topic, ms)) {
+                messages.push((topic, ms, json!({ "position": [1.0] })));
+            }
+        }
+    }
+    messages
+}
+
+#[test]
+fn rows_without_action_inside_an_episode_are_refused() {
+    let last = [("/u", 3), ("/v", 3)];
+    for (absent, empty, n_steps) in [(vec![], vec![], 3), (last.to_vec(), vec![], 2)] {
+        let (_folder, path) = recording(&numbered(&absent, &empty), NUMBERED);
+        let source = opened(&path).unwrap();
+        assert_eq!(source.info().n_steps, Some(n_steps));
+        let episodes = source.episodes().unwrap();
+        assert_eq!((episodes[0].length, episodes[0].n_rows), (n_steps, 3));
+    }
+    let faults = [
+        (
+            ("/u", 2),
+            "\"action.u\" has no sample for the step at 2000000 ns",
+        ),
+        (
+            ("/v", 1),
+            "\"action.v\" has no sample for the step at 1000000 ns",
+        ),
+        // One of two actions is no final observation.
+        (
+            ("/u", 3),
+            "\"action.u\" has no sample for the step at 3000000 ns",
+        ),
+        (
+            ("/q", 2),
+            "\"observation.q\" has no sample for the step at 2000000 ns",
+        ),
+    ];
+    for (place, expected) in faults {
+        let (_folder, path) = recording(&numbered(&[place], &[]), NUMBERED);
+        let error = failure(&path);
+        assert!(
+            error.contains(expected) && error.contains(place.0),
+            "{error}"
+        );
+        if place.0 != "/q" {
+            let (_folder, path) = recording(&numbered(&[], &[place]), NUMBERED);
+            let error = failure(&path);
+            assert!(
+                error.contains(expected) && error.contains(place.0),
+                "{error}"
+            );
+        }
+    }
+}

@@ -113,11 +113,12 @@ impl Opening {
                 known.clone_from(found);
             }
         }
-        let found = plan::episodes(&survey, &self.mapping)?;
+        let found = plan::episodes(&survey, &self.mapping, recording.recovers())?;
         self.n_empty += found.n_empty;
         self.n_dropped += found.n_dropped;
         self.n_split += found.n_split;
         self.warnings.extend(survey.warnings.iter().cloned());
+        self.warnings.extend(found.lost);
         let before = self.files.last().and_then(|file| file.episodes.last());
         let mut next = before.map_or(0, |(number, _)| number.saturating_add(1));
         next = next.max(

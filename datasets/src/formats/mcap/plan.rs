@@ -2,13 +2,15 @@
 
 use serde_json::Value;
 
+use super::Metadata;
 use super::align::pick;
-use super::mapping::{Column, From, Grid, Mapping, OnMiss, Role};
+use super::mapping::{Column, From, Grid, Mapping, OnMiss};
+use super::numbered;
 use super::spans::{Span, spans, success, task};
 use super::survey::Survey;
 use super::track::Track;
 use crate::error::{DatasetError, Result};
-use crate::schema;
+use crate::source::Warning;
 
 /// Rows of a recording, at most: six days at 30 Hz.
 const MAX_ROWS: u64 = 16_000_000;
@@ -47,18 +49,19 @@ pub(crate) struct Episodes {
     pub(crate) n_dropped: u64,
     /// Steps at which an episode was cut because a column had no sample.
     pub(crate) n_split: u64,
+    /// Numbered episodes left out because rows of them are lost.
+    pub(crate) lost: Vec<Warning>,
 }
 
-/// Cuts a recording into episodes.
+/// Cuts a recording into episodes. With `recover`, numbered ones that are not whole are left out.
 ///
 /// # Errors
 /// A step without a sample in a column whose `on_miss` is an error, numbers that come back, too many rows.
-pub(crate) fn episodes(survey: &Survey, mapping: &Mapping) -> Result<Episodes> {
-    let mut out = Episodes::default();
+pub(crate) fn episodes(survey: &Survey, mapping: &Mapping, recover: bool) -> Result<Episodes> {
     if let Grid::Index(index) = &mapping.grid {
-        indexed(survey, mapping, &index.topic, &mut out)?;
-        return Ok(out);
+        return numbered::episodes(survey, mapping, index, recover);
     }
+    let mut out = Episodes::default();
     let ends_with_observation = mapping
         .columns
         .iter()
@@ -211,64 +214,10 @@ fn samples<'s>(survey: &'s Survey, column: &Column, start: i64, end: i64) -> Opt
 
 /// The metadata records of a file, as JSON.
 pub(crate) fn metadata_json(survey: &Survey) -> Value {
-    let records = survey
-        .metadata
-        .iter()
+    // The list of a written recording's episodes is no fact about any of them.
+    let told = |record: &&Metadata| record.name != numbered::EPISODES_RECORD;
+    let records = survey.metadata.iter().filter(told);
+    let records = records
         .map(|metadata| serde_json::json!({ "name": metadata.name, "entries": metadata.entries }));
     Value::Array(records.collect())
-}
-
-/// Episodes of rows that carry their numbers.
-fn indexed(survey: &Survey, mapping: &Mapping, topic: &str, out: &mut Episodes) -> Result<()> {
-    let n_messages = survey
-        .tracks
-        .get(topic)
-        .map_or(0, |track| track.times.len());
-    if survey.rows.len() != n_messages {
-        return Err(DatasetError::corrupt(format!(
-            "\"{topic}\" has {n_messages} messages, but only {} number a row",
-            survey.rows.len()
-        )));
-    }
-    let actions: Vec<&Column> = mapping
-        .columns
-        .iter()
-        .filter(|column| column.role == Role::Action)
-        .collect();
-    let mut seen = std::collections::BTreeSet::new();
-    let mut n_rows = 0;
-    for run in survey.rows.chunk_by(|a, b| a.episode == b.episode) {
-        let (Some(first), Some(last)) = (run.first(), run.last()) else {
-            continue;
-        };
-        if !seen.insert(first.episode) {
-            return Err(DatasetError::NonContiguousEpisode {
-                column: schema::EPISODE_INDEX.to_owned(),
-                row: n_rows,
-                episode: first.episode,
-            });
-        }
-        if let Some(pair) = run.windows(2).find(|pair| pair[0].time == pair[1].time) {
-            return Err(DatasetError::corrupt(format!(
-                "two rows of episode {} are numbered at {} ns: columns match by time",
-                first.episode, pair[0].time
-            )));
-        }
-        n_rows += run.len() as u64;
-        let acts = |column: &&Column| {
-            let samples = samples(survey, column, last.time, last.time);
-            samples.is_some_and(|samples| !samples.is_empty())
-        };
-        out.episodes.push(Episode {
-            number: Some(first.episode),
-            start: first.time,
-            end: last.time,
-            rows: run.iter().map(|row| row.time).collect(),
-            has_final: !actions.is_empty() && !actions.iter().any(acts),
-            recorded: Some(run.iter().map(|row| (row.step, row.t_ns)).collect()),
-            success: None,
-            task: None,
-        });
-    }
-    Ok(())
 }

@@ -12,8 +12,10 @@ use serde_json::{Map, Value, json};
 use super::Recording;
 use super::bind::Layout;
 use super::mapping::{Grid, Mapping, Role};
+use super::numbered;
 use super::plan::Episode;
 use super::scan::{FileInput, FileScan};
+use super::steps::StepCheck;
 use super::track::Track;
 use crate::episode::{EpisodeEnd, EpisodeRecord};
 use crate::error::Result;
@@ -64,28 +66,35 @@ impl DatasetSource for McapSource {
     }
 
     fn episodes(&self) -> Result<Vec<EpisodeRecord>> {
-        if matches!(self.mapping.grid, Grid::Index(_)) {
-            return (self as &dyn DatasetSource).derived_episodes();
-        }
-        let says_more = self.mapping.columns.iter().any(|column| {
+        let is_numbered = matches!(self.mapping.grid, Grid::Index(_));
+        let columns = || self.mapping.columns.iter();
+        let says_more = columns().any(|column| {
             let is_step = matches!(
                 column.role,
                 Role::Reward | Role::Terminated | Role::Truncated
             );
             is_step || column.name == schema::INFO_SUCCESS
         });
-        let mut records = match says_more {
+        let mut records = match says_more || is_numbered {
             true => (self as &dyn DatasetSource).derived_episodes()?,
             false => self.plain_records(),
         };
+        let has_steps = columns().any(numbered::is_step);
         let own = self.files.iter().flat_map(|file| {
             file.episodes
                 .iter()
                 .map(move |(_, episode)| (file, episode))
         });
         for (record, (file, episode)) in records.iter_mut().zip(own) {
-            record.success = episode.success.or(record.success);
-            record.attributes = attributes(file, episode);
+            if !has_steps {
+                // No column tells a final observation.
+                record.length = episode.n_steps();
+                record.has_final_obs = episode.has_final;
+            }
+            if !is_numbered {
+                record.success = episode.success.or(record.success);
+                record.attributes = attributes(file, episode);
+            }
         }
         Ok(records)
     }
@@ -136,6 +145,24 @@ fn attributes(file: &FileState, episode: &Episode) -> Map<String, Value> {
     attributes
 }
 
+/// A file in the middle of a pass.
+struct OpenFile<'a> {
+    path: &'a Path,
+    scan: FileScan<'a>,
+    /// Where rows carry their numbers; elsewhere the mapping says where nulls may be.
+    check: Option<StepCheck<'a>>,
+}
+
+impl OpenFile<'_> {
+    fn next_batch(&mut self) -> Result<Option<RecordBatch>> {
+        let batch = self.scan.next_batch()?;
+        if let (Some(check), Some(batch)) = (&mut self.check, &batch) {
+            check.check(batch)?;
+        }
+        Ok(batch)
+    }
+}
+
 /// A pass over the files.
 struct McapScan<'a> {
     source: &'a McapSource,
@@ -143,14 +170,16 @@ struct McapScan<'a> {
     wanted: Option<Vec<i64>>,
     batch_rows: usize,
     files: VecDeque<&'a FileState>,
-    open: Option<(&'a Path, FileScan<'a>)>,
+    open: Option<OpenFile<'a>>,
 }
 
 impl<'a> McapScan<'a> {
     fn next_batch(&mut self) -> Result<Option<RecordBatch>> {
         loop {
-            if let Some((path, scan)) = &mut self.open {
-                let batch = scan.next_batch().map_err(|error| error.in_file(path))?;
+            if let Some(file) = &mut self.open {
+                let batch = file
+                    .next_batch()
+                    .map_err(|error| error.in_file(file.path))?;
                 if batch.is_some() {
                     return Ok(batch);
                 }
@@ -159,29 +188,37 @@ impl<'a> McapScan<'a> {
             let Some(file) = self.files.pop_front() else {
                 return Ok(None);
             };
-            let path = file.recording.path();
-            let scan = self.start(file).map_err(|error| error.in_file(path))?;
-            self.open = Some((path, scan));
+            self.open = Some(self.start(file)?);
         }
     }
 
-    fn start(&self, file: &'a FileState) -> Result<FileScan<'a>> {
+    fn start(&self, file: &'a FileState) -> Result<OpenFile<'a>> {
         let is_wanted = |number: &i64| {
             self.wanted
                 .as_ref()
                 .is_none_or(|wanted| wanted.contains(number))
         };
         let episodes = file.episodes.iter().filter(|(number, _)| is_wanted(number));
+        let episodes: Vec<_> = episodes
+            .map(|(number, episode)| (*number, episode))
+            .collect();
+        let mapping = &self.source.mapping;
+        let is_numbered = matches!(mapping.grid, Grid::Index(_));
+        let check = is_numbered.then(|| {
+            let episodes = episodes.iter().map(|(_, episode)| *episode);
+            StepCheck::new(mapping, episodes.collect())
+        });
         let input = FileInput {
             recording: &file.recording,
-            mapping: &self.source.mapping,
+            mapping,
             tracks: &file.tracks,
             layouts: &self.source.layouts,
-            episodes: episodes
-                .map(|(number, episode)| (*number, episode))
-                .collect(),
+            episodes,
         };
-        FileScan::new(input, &self.schema, self.batch_rows)
+        let path = file.recording.path();
+        let scan = FileScan::new(input, &self.schema, self.batch_rows)
+            .map_err(|error| error.in_file(path))?;
+        Ok(OpenFile { path, scan, check })
     }
 }
 

@@ -6,11 +6,9 @@ use std::fmt::Write;
 use arrow::datatypes::{DataType, Field, Schema};
 
 use crate::formats::mcap::mapping::Dtype;
+use crate::formats::mcap::numbered::STEP_TOPIC;
 use crate::schema;
 use crate::sink::{Loss, LossEffect};
-
-/// The topic whose messages are the rows.
-pub(super) const STEP_TOPIC: &str = "/step";
 
 /// Columns that are written in one message.
 #[derive(Debug, Clone)]
@@ -111,14 +109,13 @@ fn section(column: &str) -> Option<(usize, String)> {
 
 impl Group {
     fn add(&mut self, mut member: Member) {
-        let taken: BTreeSet<&str> = self
-            .members
-            .iter()
-            .map(|member| member.name.as_str())
-            .collect();
+        // The JSON names of Protobuf fields, which must differ as well, have no underscores.
+        let plain = |name: &str| name.replace('_', "").to_ascii_lowercase();
+        let members = self.members.iter();
+        let taken: BTreeSet<String> = members.map(|member| plain(&member.name)).collect();
         let mut name = member.name.clone();
         let mut n = 2;
-        while taken.contains(name.as_str()) {
+        while taken.contains(&plain(&name)) {
             name = format!("{}_{n}", member.name);
             n += 1;
         }

@@ -3,7 +3,8 @@
 //! A row is one message on `/step` (numbers, reward, flags) and one on `/observation`, `/action` and `/info` as
 //! far as the table has such columns, all with the same log time; a null is a field, or a whole message, that is
 //! not there. `/episode` marks beginnings and ends for viewers. The metadata record `ksim.mapping` holds the
-//! mapping that reads all this back as the same table, `ksim.schema` the metadata of the table.
+//! mapping that reads all this back as the same table, `ksim.schema` the metadata of the table, `ksim.episodes`
+//! how many rows each episode has, so that a reader knows what a damaged file lost.
 
 mod cells;
 mod groups;
@@ -22,10 +23,12 @@ use mcap::records::{MessageHeader, Metadata};
 use self::cells::cell;
 use self::groups::Group;
 use super::describe::{MAPPING_ENTRY, MAPPING_RECORD, SCHEMA_RECORD};
+use super::numbered;
 use super::source::McapSource;
 use crate::episode::{self, column};
 use crate::error::{DatasetError, Result};
 use crate::format::OpenOptions;
+use crate::formats::episode_rows::EpisodeCursor;
 use crate::schema;
 use crate::sink::{DatasetSink, Loss, LossEffect, McapEncoding, SinkInput, WriteOptions, Written};
 use crate::source::DatasetSource;
@@ -42,7 +45,6 @@ pub(crate) struct McapSink {
     path: PathBuf,
     staged: Staged,
     writer: mcap::Writer<BufWriter<File>>,
-    schema: SchemaRef,
     encoding: McapEncoding,
     groups: Vec<(u16, Group)>,
     marks: u16,
@@ -50,6 +52,8 @@ pub(crate) struct McapSink {
     clock: Clock,
     n_messages: u32,
     open_episode: Option<i64>,
+    /// The rows that were noted at the start of the file.
+    promised: EpisodeCursor,
 }
 
 /// Gives each row a log time of its own.
@@ -109,7 +113,6 @@ impl McapSink {
             path: path.to_owned(),
             staged,
             writer,
-            schema: SchemaRef::clone(input.schema),
             encoding: options.mcap_encoding,
             groups: groups_with_channels,
             marks,
@@ -121,17 +124,12 @@ impl McapSink {
             },
             n_messages: 0,
             open_episode: None,
+            promised: EpisodeCursor::new(input),
         })
     }
 
     fn write_rows(&mut self, batch: &RecordBatch) -> Result<()> {
-        if batch.schema().fields() != self.schema.fields() {
-            return Err(DatasetError::WrongType {
-                key: "batch".to_owned(),
-                actual: schema::column_names(&batch.schema()),
-                expected: "the columns the file was started with",
-            });
-        }
+        self.promised.cut(batch)?;
         let episodes = column(batch, schema::EPISODE_INDEX)?.as_primitive::<Int64Type>();
         let times = batch.column_by_name(schema::T_NS);
         let times = times.map(|times| times.as_primitive::<Int64Type>());
@@ -197,6 +195,7 @@ impl McapSink {
     }
 
     fn close(mut self) -> Result<Written> {
+        self.promised.finish()?;
         self.mark_end()?;
         self.writer.finish().map_err(write_error)?;
         let io = |e| DatasetError::io("write", e);
@@ -318,7 +317,12 @@ fn write_metadata<W: Write + Seek>(
         table.insert(schema::EPISODE_RECORDS.to_owned(), records);
     }
     let mapping = BTreeMap::from([(MAPPING_ENTRY.to_owned(), groups::mapping_toml(groups))]);
-    for (name, metadata) in [(MAPPING_RECORD, mapping), (SCHEMA_RECORD, table)] {
+    let records = [
+        (MAPPING_RECORD, mapping),
+        (SCHEMA_RECORD, table),
+        numbered::record(input.episodes),
+    ];
+    for (name, metadata) in records {
         let name = name.to_owned();
         writer
             .write_metadata(&Metadata { name, metadata })
