@@ -24,14 +24,13 @@ use self::cells::cell;
 use self::groups::Group;
 use super::describe::{MAPPING_ENTRY, MAPPING_RECORD, SCHEMA_RECORD};
 use super::numbered;
-use super::source::McapSource;
 use crate::episode::{self, column};
 use crate::error::{DatasetError, Result};
-use crate::format::OpenOptions;
 use crate::formats::episode_rows::EpisodeCursor;
 use crate::schema;
-use crate::sink::{DatasetSink, Loss, LossEffect, McapEncoding, SinkInput, WriteOptions, Written};
-use crate::source::DatasetSource;
+use crate::sink::{
+    DatasetSink, Loss, LossEffect, McapEncoding, SinkInput, WriteOptions, Written, publish,
+};
 use crate::staging::Staged;
 
 /// Topic of the marks.
@@ -203,12 +202,7 @@ impl McapSink {
         buffer.flush().map_err(io)?;
         buffer.get_ref().sync_all().map_err(io)?;
         drop(buffer);
-        self.staged.publish()?;
-        let back = McapSource::open(&self.path, &OpenOptions::default())?;
-        Ok(Written {
-            info: back.info().clone(),
-            losses: self.losses,
-        })
+        publish(self.staged, self.losses)
     }
 }
 
