@@ -93,7 +93,8 @@ pub struct OpenOptions {
     pub force: bool,
     /// The mapping of an MCAP recording: a TOML file that says which fields are observation and action.
     pub mapping: Option<PathBuf>,
-    /// Read what is whole of a damaged file; what is lost is a [`crate::Warning::Lost`].
+    /// Read what is whole of a damaged MCAP, LeRobot, Arrow IPC or robomimic dataset; what is lost is a
+    /// [`crate::Warning::Lost`]. The other formats fail as they do without it.
     pub recover: bool,
 }
 

@@ -1,11 +1,13 @@
 //! Robot-learning datasets as Arrow record batches.
 //!
 //! One data model for every file format: a dataset is a table of steps (see [`schema`]) that is read in
-//! batches through the [`DatasetSource`] trait. Readers exist for Parquet and for Minari's Arrow and Parquet
-//! storages, and with the feature `hdf5` for D4RL and Minari HDF5 files. This crate knows nothing of scoring, planners or simulators.
+//! batches through the [`DatasetSource`] trait. There are readers for Parquet, Arrow IPC, LeRobot, npz and Minari's
+//! Arrow and Parquet storages, with the feature `hdf5` for D4RL, robomimic and Minari HDF5, with `mcap` for MCAP
+//! recordings; `download` fetches datasets by name. This crate knows nothing of scoring, planners or simulators.
 //!
 //! Where to look: [`open`] and [`resolve`] find and open a dataset, [`TransitionReader`] turns its rows into
-//! plain matrices, [`summarize`] computes what `ksim dataset info` prints, [`ParquetSink`] writes.
+//! plain matrices, [`summarize`] computes what `ksim dataset info` prints, [`create`] and
+//! [`convert::convert`] write, [`validate`] looks for faults.
 //!
 //! ```no_run
 //! use ksim_datasets::{OpenOptions, SearchRoots, TransitionOptions, TransitionReader};

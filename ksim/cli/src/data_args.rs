@@ -23,7 +23,7 @@ pub(crate) struct DataArgs {
     /// Try to read a Minari dataset of an unknown version
     #[arg(long)]
     force: bool,
-    /// Read what is whole of a damaged file, and say what is lost
+    /// Read what is whole of a damaged MCAP, LeRobot, Arrow IPC or robomimic dataset, and say what is lost
     #[arg(long)]
     recover: bool,
     /// Which fields of an MCAP recording are observation and action (see `ksim dataset inspect`)
