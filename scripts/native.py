@@ -3,6 +3,8 @@
 
   .native/cmake/bin/cmake   CMake >= 3.26, which builds the static HDF5: a link to the machine's
                             own (or to $CMAKE) if it is new enough, else the one that pip fetches
+  .native/mujoco/lib        libmujoco, out of its Python wheel, for the feature `mujoco`; a
+                            MUJOCO_DYNAMIC_LINK_DIR of your own wins over it
 
 Standard library and pip only. Runs from any folder, again at no cost, and twice at once: every
 result is made in a folder of its own and renamed into place when it is whole. Wheels stay in
@@ -20,6 +22,9 @@ import zipfile
 
 CMAKE = "3.31.10"  # the last 3.x
 CMAKE_AT_LEAST = (3, 26)  # what hdf5-metno-src asks for; Debian 12 has 3.25
+MUJOCO = "3.17.0"  # what mujoco-rs binds, to the last digit of the version
+# Which of the wheels to take: all hold the same library, whatever Python runs this.
+MUJOCO_WHEEL = ("--python-version", "3.11", "--implementation", "cp", "--abi", "cp311")
 NATIVE = pathlib.Path(__file__).resolve().parents[1] / ".native"
 WHEELS = pathlib.Path(os.environ.get("NATIVE_WHEELS") or NATIVE / "wheels")
 
@@ -70,13 +75,13 @@ def pip_download(requirement, into, *source):
     return next(into.glob("*.whl"), None) if done.returncode == 0 else None
 
 
-def wheel(requirement, into):
+def wheel(requirement, into, *which):
     """A wheel of this machine's platform, from the cache or the package index."""
     WHEELS.mkdir(parents=True, exist_ok=True)
-    cached = pip_download(requirement, into, "--no-index", "--find-links", str(WHEELS))
+    cached = pip_download(requirement, into, *which, "--no-index", "--find-links", str(WHEELS))
     if cached:
         return cached
-    fetched = pip_download(requirement, into)
+    fetched = pip_download(requirement, into, *which)
     if not fetched:
         sys.exit(f"native.py: pip could not fetch {requirement} (its message is above)")
     with workspace(WHEELS) as partial:
@@ -122,11 +127,38 @@ def provide_cmake():
     print(f"native.py: {told}")
 
 
+def provide_mujoco():
+    place = NATIVE / "mujoco"
+    linux, mac = f"libmujoco.so.{MUJOCO}", f"libmujoco.{MUJOCO}.dylib"
+    whole = lambda: any((place / "lib" / name).exists() for name in (linux, mac))
+    if whole():
+        return
+    with workspace(NATIVE) as partial:
+        require_pip()
+        archive = wheel(f"mujoco=={MUJOCO}", partial, *MUJOCO_WHEEL)
+        lib = partial / "mujoco" / "lib"
+        lib.mkdir(parents=True)
+        with zipfile.ZipFile(archive) as z:
+            member = next((n for n in z.namelist() if pathlib.PurePath(n).name in (linux, mac)), None)
+            if member is None:
+                sys.exit(f"native.py: the wheel {archive.name} holds no libmujoco {MUJOCO}")
+            library = lib / pathlib.PurePath(member).name
+            with z.open(member) as source, open(library, "wb") as target:
+                shutil.copyfileobj(source, target, 1 << 20)
+        library.chmod(0o755)
+        # The name that the linker asks for.
+        plain = "libmujoco.so" if library.name == linux else "libmujoco.dylib"
+        (lib / plain).symlink_to(library.name)
+        put(partial / "mujoco", place, whole)
+    print(f"native.py: fetched MuJoCo {MUJOCO}")
+
+
 def require_pip():
     if subprocess.run([sys.executable, "-m", "pip", "--version"], capture_output=True).returncode:
-        sys.exit(f"native.py: {sys.executable} has no pip, which fetches CMake {CMAKE}.\n"
-                 "Install pip (Debian and Ubuntu: apt install python3-pip) "
-                 "or a CMake >= 3.26, and run this again.")
+        sys.exit(f"native.py: {sys.executable} has no pip, which fetches CMake {CMAKE} and MuJoCo {MUJOCO}.\n"
+                 "Install pip (Debian and Ubuntu: apt install python3-pip), or provide a CMake >= 3.26 "
+                 "and a libmujoco of your own in .native/mujoco/lib, and run this again.")
 
 
 provide_cmake()
+provide_mujoco()
