@@ -6,11 +6,11 @@
 demo: native
 	cargo run --release -p ksim-cli -- demo
 
-# Sets up what the tests need and runs them all, doc tests included.
+# Sets up what the tests need and runs them all, doc tests included; those of MuJoCo's environments too.
 test: native
-	cargo test --workspace
+	cargo test --workspace --features mujoco
 
-# CMake for the static HDF5, if the machine has none that is new enough.
+# CMake for the static HDF5, if the machine has none that is new enough, and libmujoco.
 native:
 	python3 scripts/native.py
 

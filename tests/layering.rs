@@ -15,7 +15,7 @@ struct Rule {
     is_library: bool,
 }
 
-const RULES: [Rule; 4] = [
+const RULES: [Rule; 6] = [
     Rule {
         package: "ksim",
         may: &[],
@@ -38,8 +38,20 @@ const RULES: [Rule; 4] = [
         is_library: true,
     },
     Rule {
+        package: "ksim-envs",
+        may: &["ksim-datasets"],
+        never: &["tch", "torch-sys", "clap*", "anyhow"],
+        is_library: true,
+    },
+    Rule {
+        package: "ksim-bench-harness",
+        may: &["ksim", "ksim-datasets", "ksim-envs"],
+        never: &["clap*", "anyhow"],
+        is_library: true,
+    },
+    Rule {
         package: "ksim-cli",
-        may: &["ksim", "ksim-datasets"],
+        may: &["ksim", "ksim-bench-harness", "ksim-datasets", "ksim-envs"],
         never: &[],
         is_library: false,
     },
