@@ -64,6 +64,27 @@ pub struct ResetOptions {
     pub reset_cell: Option<(usize, usize)>,
 }
 
+impl ResetOptions {
+    /// Refuses cells, for environments without a maze.
+    ///
+    /// # Errors
+    /// If a cell is set.
+    pub(crate) fn refuse_cells(&self, id: &str) -> Result<(), EnvironmentError> {
+        let cells = [("goal_cell", self.goal_cell), ("reset_cell", self.reset_cell)];
+        for (name, cell) in cells {
+            if let Some((row, column)) = cell {
+                return Err(EnvironmentError::Argument {
+                    id: id.to_owned(),
+                    name: name.to_owned(),
+                    expected: "none, for there is no maze".to_owned(),
+                    found: format!("({row}, {column})"),
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
 /// What a reset tells besides the observation.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ResetOutcome {
