@@ -70,7 +70,10 @@ impl ResetOptions {
     /// # Errors
     /// If a cell is set.
     pub(crate) fn refuse_cells(&self, id: &str) -> Result<(), EnvironmentError> {
-        let cells = [("goal_cell", self.goal_cell), ("reset_cell", self.reset_cell)];
+        let cells = [
+            ("goal_cell", self.goal_cell),
+            ("reset_cell", self.reset_cell),
+        ];
         for (name, cell) in cells {
             if let Some((row, column)) = cell {
                 return Err(EnvironmentError::Argument {

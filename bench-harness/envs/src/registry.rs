@@ -19,6 +19,9 @@ pub struct EnvironmentRequest {
 /// # Errors
 /// An unknown id, an argument it does not take, or a build without MuJoCo.
 pub fn make(request: &EnvironmentRequest) -> Result<Box<dyn Environment>, EnvironmentError> {
+    if request.id == crate::toy::POINT_MASS_ID {
+        return Ok(Box::new(crate::toy::point_mass(request.max_episode_steps)));
+    }
     Err(EnvironmentError::UnknownId {
         id: request.id.clone(),
         suggestions: Vec::new(),

@@ -13,7 +13,9 @@ pub enum VectorError {
     #[error("no environments to step")]
     Empty,
     /// Environments of different kinds.
-    #[error("slot {slot} holds `{found}`, expected `{expected}` with the same specification as slot 0")]
+    #[error(
+        "slot {slot} holds `{found}`, expected `{expected}` with the same specification as slot 0"
+    )]
     DifferentSpec {
         /// The slot that differs.
         slot: usize,
@@ -23,7 +25,9 @@ pub enum VectorError {
         found: String,
     },
     /// Slots to step that are not ascending, or do not exist.
-    #[error("slots to step: found {found} at position {position}, expected ascending slots below {n_slots}")]
+    #[error(
+        "slots to step: found {found} at position {position}, expected ascending slots below {n_slots}"
+    )]
     Slots {
         /// Position in the list.
         position: usize,
@@ -172,8 +176,8 @@ impl VectorEnvironment {
 
     fn check(&self, slots: &[usize], actions: &[f64]) -> Result<(), VectorError> {
         let n_slots = self.len();
-        let bad = (0..slots.len())
-            .find(|&k| slots[k] >= n_slots || (k > 0 && slots[k] <= slots[k - 1]));
+        let bad =
+            (0..slots.len()).find(|&k| slots[k] >= n_slots || (k > 0 && slots[k] <= slots[k - 1]));
         if let Some(position) = bad {
             return Err(VectorError::Slots {
                 position,
@@ -304,7 +308,10 @@ mod tests {
         let Err(VectorError::Slot { slot: 1, source }) = error else {
             panic!("{error:?}");
         };
-        assert!(matches!(source, EnvironmentError::ActionNotFinite { index: 0, .. }));
+        assert!(matches!(
+            source,
+            EnvironmentError::ActionNotFinite { index: 0, .. }
+        ));
         assert_eq!(vector.errors().count(), 2);
         assert!(vector.observation(0)[0] > before[0]);
         vector.step(&[1], &[0.5]).unwrap();
