@@ -1,6 +1,6 @@
 //! Hopper and Walker2d: a planar torso of 1.25 m on one leg or on two, and what sets the two apart.
 
-use super::{CAMERA, ground, motor, numbers};
+use super::{CAMERA, ground, motor};
 
 /// Heights in the upright pose, in m.
 const TOP: f64 = 1.45;
