@@ -2,6 +2,7 @@
 
 use ksim_datasets::DatasetError;
 use ksim_envs::EnvironmentError;
+use ksim_envs::vector::VectorError;
 
 use crate::policy::PolicyError;
 
@@ -9,6 +10,16 @@ use crate::policy::PolicyError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HarnessError {
+    /// A setting that makes no sense.
+    #[error("rollout: {name}: expected {expected}, found {found}")]
+    Config {
+        /// The setting.
+        name: &'static str,
+        /// What would have been accepted.
+        expected: &'static str,
+        /// What was given.
+        found: String,
+    },
     /// An environment failed.
     #[error("episode {episode}, step {step}")]
     Environment {
@@ -19,6 +30,9 @@ pub enum HarnessError {
         /// What failed.
         source: EnvironmentError,
     },
+    /// The environments could not be stepped together.
+    #[error(transparent)]
+    Vector(#[from] VectorError),
     /// The policy failed.
     #[error("episode {episode}, step {step}: policy `{policy}`")]
     Policy {

@@ -7,6 +7,7 @@ mod error;
 pub mod figure;
 pub mod policy;
 pub mod record;
+mod rng;
 pub mod rollout;
 pub mod stats;
 

@@ -1,5 +1,9 @@
 //! What a rollout leaves: one record per episode, and the steps.
 
+mod summary;
+
+pub use summary::{SuccessRates, Summary};
+
 /// One episode, in numbers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EpisodeRecord {
