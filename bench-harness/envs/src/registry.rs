@@ -22,6 +22,13 @@ pub fn make(request: &EnvironmentRequest) -> Result<Box<dyn Environment>, Enviro
     if request.id == crate::toy::POINT_MASS_ID {
         return Ok(Box::new(crate::toy::point_mass(request.max_episode_steps)));
     }
+    #[cfg(feature = "mujoco")]
+    return Ok(crate::mujoco::make(
+        &request.id,
+        &request.kwargs,
+        request.max_episode_steps,
+    )?);
+    #[cfg(not(feature = "mujoco"))]
     Err(EnvironmentError::UnknownId {
         id: request.id.clone(),
         suggestions: Vec::new(),

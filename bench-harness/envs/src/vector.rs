@@ -59,7 +59,7 @@ pub enum VectorError {
 /// Environments of one kind, stepped together on the current rayon pool.
 ///
 /// Each slot has its own simulator and generator, so the numbers are the same for any number of threads. Stepping
-/// allocates nothing when called inside the pool (`pool.install`).
+/// allocates nothing when called inside the pool (`pool.install`), but for what each of its threads once needs.
 pub struct VectorEnvironment {
     slots: Vec<Slot>,
     /// `(n_slots, observation_dim)`, row-major.

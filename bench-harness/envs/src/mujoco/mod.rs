@@ -14,4 +14,4 @@ mod tasks;
 pub use environment::MujocoEnvironment;
 pub use model::MujocoModel;
 pub use physics::MujocoPhysics;
-pub use tasks::make_locomotion;
+pub use tasks::make;

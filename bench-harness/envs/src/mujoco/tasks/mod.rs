@@ -20,12 +20,12 @@ pub(crate) enum Version {
     V5,
 }
 
-/// Makes `HalfCheetah`, `Hopper`, `Walker2d` or `Ant`, `-v4` or `-v5`, with the keyword arguments of Gymnasium's
-/// constructors. The time limit is 1000 steps if no other is given.
+/// Makes an environment that MuJoCo steps, with the keyword arguments of Gymnasium's constructor: `HalfCheetah`,
+/// `Hopper`, `Walker2d` or `Ant`, `-v4` or `-v5`, of 1000 steps if no other limit is given.
 ///
 /// # Errors
 /// Another id, an argument that the version does not take or cannot use, or a model file that does not compile.
-pub fn make_locomotion(
+pub fn make(
     id: &str,
     kwargs: &Map<String, Value>,
     max_episode_steps: Option<usize>,
@@ -205,7 +205,7 @@ mod tests {
 
     fn error(id: &str, kwargs: Value) -> String {
         let kwargs = kwargs.as_object().unwrap();
-        match make_locomotion(id, kwargs, None) {
+        match make(id, kwargs, None) {
             Ok(_) => panic!("{id} took {kwargs:?}"),
             Err(error) => error.to_string(),
         }
@@ -257,7 +257,7 @@ mod tests {
             "healthy_reward": 1.0,
             "frame_skip": 2,
         });
-        let environment = make_locomotion("Ant-v5", given.as_object().unwrap(), Some(7)).unwrap();
+        let environment = make("Ant-v5", given.as_object().unwrap(), Some(7)).unwrap();
         let spec = environment.spec();
         assert_eq!(spec.observation_dim(), 27);
         assert_eq!((spec.max_episode_steps, spec.dt_s), (7, 0.02));
