@@ -73,11 +73,13 @@ impl<'a> Arguments<'a> {
         })
     }
 
-    /// A text, if one is given.
-    pub(crate) fn text(&mut self, name: &'static str) -> Result<Option<String>, EnvironmentError> {
-        self.take(name, None, "a text", |value| {
-            value.as_str().map(|text| Some(text.to_owned()))
-        })
+    pub(crate) fn text(
+        &mut self,
+        name: &'static str,
+        default: &str,
+    ) -> Result<String, EnvironmentError> {
+        let read = |value: &Value| value.as_str().map(str::to_owned);
+        self.take(name, default.to_owned(), "a text", read)
     }
 
     /// An argument of any kind: `read` says whether a given value is as `expected`.

@@ -189,7 +189,8 @@ mod tests {
 
     #[test]
     fn a_diverged_simulation_is_an_error_not_a_silent_restart() {
-        let model = MujocoModel::from_xml("hopper", &models::legged::hopper()).unwrap();
+        let model =
+            MujocoModel::from_xml("hopper", &models::published("hopper.xml").unwrap()).unwrap();
         assert_eq!(model.warnings(), &[] as &[String]);
         let mut physics = MujocoPhysics::new(&model, 4, false).unwrap();
         physics.step(&[0.0; 3]).unwrap();

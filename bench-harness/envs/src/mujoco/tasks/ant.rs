@@ -10,7 +10,6 @@ use super::{Rules, Version, forward_terms, sum_of_squares};
 use crate::environment::{Part, ResetOptions};
 use crate::error::EnvironmentError;
 use crate::mujoco::arguments::Arguments;
-use crate::mujoco::models;
 use crate::mujoco::{MujocoModel, MujocoPhysics};
 use crate::numpy_rng::Generator;
 use crate::simulation::{Judgement, Task};
@@ -97,7 +96,7 @@ pub(super) fn make(
     id: &str,
     arguments: &mut Arguments<'_>,
 ) -> Result<Rules<Ant>, EnvironmentError> {
-    let model = super::model(true, arguments, id, || models::ant::xml(""))?;
+    let model = super::model(true, arguments, "ant.xml")?;
     let frame_skip = super::frame_skip(version, arguments, 5)?;
     let params = AntParams::read(version, arguments)?;
     let physics = MujocoPhysics::new(&model, frame_skip, params.needs_contact_forces())?;

@@ -6,7 +6,7 @@ mod planar;
 use serde_json::{Map, Value};
 
 use super::arguments::Arguments;
-use super::{MujocoEnvironment, MujocoModel, MujocoPhysics};
+use super::{MujocoEnvironment, MujocoModel, MujocoPhysics, models};
 use crate::environment::{EnvironmentSpec, Part, RewardTerms};
 use crate::error::EnvironmentError;
 use crate::numpy_rng::Generator;
@@ -76,6 +76,12 @@ impl<T: Task<MujocoPhysics> + 'static> Rules<T> {
         max_episode_steps: usize,
     ) -> Result<Box<dyn MujocoEnvironment>, EnvironmentError> {
         let (action_low, action_high) = self.physics.control_ranges();
+        if action_low.is_empty() {
+            return Err(EnvironmentError::Model {
+                model: id.to_owned(),
+                message: "no actuators, expected at least one".to_owned(),
+            });
+        }
         let part = |name, width| Part { name, width };
         let spec = EnvironmentSpec {
             id: id.to_owned(),
@@ -95,21 +101,20 @@ impl<T: Task<MujocoPhysics> + 'static> Rules<T> {
     }
 }
 
-/// The model of `xml_file`, where the constructor takes one, or else our own.
+/// The model of `xml_file`, where the constructor takes one: a published name, or else the path of a file.
 fn model(
     takes_file: bool,
     arguments: &mut Arguments<'_>,
-    id: &str,
-    own: impl FnOnce() -> String,
+    default: &str,
 ) -> Result<MujocoModel, EnvironmentError> {
     let file = if takes_file {
-        arguments.text("xml_file")?
+        arguments.text("xml_file", default)?
     } else {
-        None
+        default.to_owned()
     };
-    match file {
-        Some(path) => MujocoModel::from_file(path.as_ref()),
-        None => MujocoModel::from_xml(id, &own()),
+    match models::published(&file) {
+        Some(xml) => MujocoModel::from_xml(&file, &xml),
+        None => MujocoModel::from_file(file.as_ref()),
     }
 }
 

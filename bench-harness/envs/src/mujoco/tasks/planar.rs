@@ -7,7 +7,6 @@ use super::{Rules, Version, forward_terms, sum_of_squares};
 use crate::environment::{Part, ResetOptions};
 use crate::error::EnvironmentError;
 use crate::mujoco::arguments::Arguments;
-use crate::mujoco::models::{half_cheetah, legged};
 use crate::mujoco::{MujocoModel, MujocoPhysics};
 use crate::numpy_rng::Generator;
 use crate::simulation::{Judgement, Task};
@@ -64,12 +63,12 @@ pub(super) struct Planar {
 }
 
 impl Robot {
-    fn xml(self, version: Version) -> String {
+    fn file(self, version: Version) -> &'static str {
         match (self, version) {
-            (Self::HalfCheetah, _) => half_cheetah::xml(),
-            (Self::Hopper, _) => legged::hopper(),
-            (Self::Walker2d, Version::V4) => legged::walker2d(0.9),
-            (Self::Walker2d, Version::V5) => legged::walker2d(1.9),
+            (Self::HalfCheetah, _) => "half_cheetah.xml",
+            (Self::Hopper, _) => "hopper.xml",
+            (Self::Walker2d, Version::V4) => "walker2d.xml",
+            (Self::Walker2d, Version::V5) => "walker2d_v5.xml",
         }
     }
 
@@ -80,7 +79,7 @@ impl Robot {
         id: &str,
         arguments: &mut Arguments<'_>,
     ) -> Result<Rules<Planar>, EnvironmentError> {
-        let model = super::model(version == Version::V5, arguments, id, || self.xml(version))?;
+        let model = super::model(version == Version::V5, arguments, self.file(version))?;
         let frame_skip = super::frame_skip(
             version,
             arguments,
