@@ -43,7 +43,7 @@ pub enum HarnessError {
         /// Step in it, from 0.
         step: usize,
         /// What failed.
-        source: PolicyError,
+        source: Box<PolicyError>,
     },
     /// The record could not be written.
     #[error(transparent)]

@@ -323,7 +323,7 @@ impl<'a> Rollout<'a> {
                 policy,
                 episode,
                 step,
-                source,
+                source: Box::new(source),
             },
         );
     }

@@ -157,31 +157,25 @@ fn kind_of(syntax: &'static str) -> &'static str {
     syntax.split(':').next().unwrap_or(syntax)
 }
 
+/// How a kind is written.
 fn syntax(kind: &str) -> &'static str {
-    let known = KINDS.iter().map(|(syntax, _)| *syntax);
+    let mut known = KINDS.iter().map(|(syntax, _)| *syntax);
     known
-        .filter(|syntax| kind_of(syntax) == kind)
-        .last()
+        .find(|syntax| kind_of(syntax) == kind)
         .unwrap_or_default()
 }
 
-/// Kind, and what follows its colon if there is one.
-fn split_kind(text: &str) -> Result<(&'static str, Option<&str>), PolicyError> {
-    let (before, after) = match text.split_once(':') {
-        Some((before, after)) => (before, Some(after)),
-        None => (text, None),
-    };
-    let (before, options) = match (before.split_once(','), after) {
-        (Some((kind, _)), None) => (kind, Some(&before[kind.len()..])),
-        _ => (before, None),
-    };
-    let known = KINDS.iter().map(|(syntax, _)| kind_of(syntax));
-    if let Some(kind) = known.into_iter().find(|kind| *kind == before) {
-        return Ok((kind, after.or(options)));
+/// Kind, and what follows it.
+fn split_kind(text: &str) -> Result<(&'static str, &str), PolicyError> {
+    let end = text.find([':', ',']).unwrap_or(text.len());
+    let mut known = KINDS.iter().map(|(syntax, _)| kind_of(syntax));
+    if let Some(kind) = known.find(|kind| *kind == &text[..end]) {
+        let rest = &text[end..];
+        return Ok((kind, rest.strip_prefix(':').unwrap_or(rest)));
     }
-    let (file, _) = Options::split("mlp", Some(text));
+    let (file, _) = Options::split("mlp", text);
     if file.is_some_and(|file| file.ends_with(".safetensors")) {
-        return Ok(("mlp", Some(text)));
+        return Ok(("mlp", text));
     }
     Err(PolicyError::UnknownKind {
         found: text.to_owned(),
@@ -196,8 +190,7 @@ struct Options<'a> {
 
 impl<'a> Options<'a> {
     /// Splits `FILE,option=value,…`.
-    fn split(kind: &'static str, text: Option<&'a str>) -> (Option<&'a str>, Self) {
-        let text = text.unwrap_or_default();
+    fn split(kind: &'static str, text: &'a str) -> (Option<&'a str>, Self) {
         let mut starts: Vec<usize> = text
             .match_indices(',')
             .map(|(at, _)| at)
