@@ -152,4 +152,15 @@ mod tests {
         assert_eq!(observation[1], DT_S);
         assert!(outcome.truncated && !outcome.terminated);
     }
+
+    #[test]
+    fn a_maze_cell_is_refused() {
+        let options = ResetOptions {
+            reset_cell: Some((1, 2)),
+            ..ResetOptions::default()
+        };
+        let error = point_mass(None).reset(None, &options, &mut [0.0; 2]);
+        let message = error.unwrap_err().to_string();
+        assert!(message.contains("`reset_cell`: expected none"), "{message}");
+    }
 }

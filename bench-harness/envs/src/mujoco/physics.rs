@@ -95,7 +95,7 @@ impl MujocoPhysics {
         self.data.xpos_mut()
     }
 
-    /// External forces on the bodies, torque [Nm] before force [N]; stale after a step, zero after a reset, and never
+    /// External forces on the bodies, torque (Nm) before force (N); stale after a step, zero after a reset, and never
     /// anything else unless contact forces were asked for.
     pub fn cfrc_ext(&self) -> &[[f64; 6]] {
         self.data.cfrc_ext()

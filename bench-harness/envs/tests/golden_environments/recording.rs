@@ -8,6 +8,7 @@ use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::datatypes::{Float64Type, Int32Type};
 use ksim_envs::EnvironmentError;
 use ksim_envs::mujoco::{self, MujocoEnvironment};
+use ksim_envs::registry::{self, EnvironmentRequest};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use serde_json::Value;
 
@@ -98,7 +99,15 @@ impl Recording {
         paths.extend(files("extra", "parquet"));
         let mut recordings: Vec<Self> = paths.iter().map(|path| Self::open(path)).collect();
         recordings.retain(|recording| match recording.make() {
-            Err(EnvironmentError::UnknownId { .. }) => false,
+            Err(EnvironmentError::UnknownId { .. }) => {
+                let request = EnvironmentRequest {
+                    id: recording.env_id.clone(),
+                    ..EnvironmentRequest::default()
+                };
+                let is_known = registry::make(&request).is_ok();
+                assert!(!is_known, "{} is not replayed", recording.name);
+                false
+            }
             Err(error) => panic!("{}: {error}", recording.name),
             Ok(_) => true,
         });
