@@ -1,10 +1,11 @@
-//! NumPy's generator against recorded draws: those in `$KSIM_GOLDEN/environments/seeded_resets.json`, by default the copy
-//! in the repository, and a million of each kind in `fixtures/numpy_rng.json`, made by the script beside it.
+//! NumPy's generator and the mazes against recordings under `$KSIM_GOLDEN/environments`, by default a small part of it in
+//! the repository; the generator also against a million draws in `fixtures/numpy_rng.json`, made by the script beside it.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where a step fails")]
 
 use std::path::{Path, PathBuf};
 
+use ksim_envs::maze::{Cell, Maze};
 use ksim_envs::numpy_rng::Generator;
 use serde_json::Value;
 
@@ -98,5 +99,99 @@ fn golden_integers_between_other_draws() {
             let expected = (draw[1].as_u64().unwrap(), draw[2].as_f64().unwrap());
             assert_eq!(drawn, expected, "of {n}");
         }
+    }
+}
+
+#[test]
+fn golden_maze_resets() {
+    let recorded = read(&golden().join("environments/seeded_resets.json"));
+    let mut n_resets = 0;
+    for (id, resets) in recorded["seeded_resets"].as_object().unwrap() {
+        let Some(maze) = maze_of(id) else { continue };
+        for reset in resets.as_array().unwrap() {
+            let mut generator = Generator::new(reset["seed"].as_u64().unwrap_or(0));
+            if reset["seed"].is_string() {
+                maze.draw_episode(None, None, &mut generator).unwrap();
+            }
+            let drawn = maze.draw_episode(None, None, &mut generator).unwrap();
+            assert_eq!(drawn.goal[..], floats(&reset["goal"]), "{id}: {reset}");
+            assert_eq!(
+                drawn.start[..],
+                floats(&reset["qpos"])[..2],
+                "{id}: {reset}"
+            );
+            n_resets += 1;
+        }
+    }
+    assert!(n_resets > 0);
+}
+
+/// The map of a sparse AntMaze id.
+fn maze_of(id: &str) -> Option<Maze> {
+    let (name, _) = id.strip_prefix("AntMaze_")?.split_once('-')?;
+    Some(Maze::published(name).unwrap_or_else(|| panic!("no map {name}")))
+}
+
+#[test]
+fn golden_maps() {
+    let folder = golden().join("environments/model_facts");
+    let mut n_maps = 0;
+    for entry in std::fs::read_dir(&folder).unwrap() {
+        let facts = read(&entry.unwrap().path());
+        let id = facts["env_id"].as_str().unwrap();
+        let (Some(maze), facts) = (maze_of(id), &facts["maze"]) else {
+            continue;
+        };
+        assert_eq!(maze.to_json(), facts["map"], "{id}");
+        assert_eq!(Maze::from_json(&facts["map"]), Ok(maze.clone()), "{id}");
+        let centers = |cells: &[Cell]| -> Vec<f64> {
+            cells.iter().flat_map(|&cell| maze.center(cell)).collect()
+        };
+        let places = |list: &Value| -> Vec<f64> {
+            list.as_array().unwrap().iter().flat_map(floats).collect()
+        };
+        assert_eq!(
+            centers(maze.goals()),
+            places(&facts["goal_locations"]),
+            "{id}"
+        );
+        assert_eq!(
+            centers(maze.starts()),
+            places(&facts["reset_locations"]),
+            "{id}"
+        );
+        for (cell, center) in facts["cell_centres"].as_object().unwrap() {
+            let (row, column) = cell.split_once(',').unwrap();
+            let cell = (row.parse().unwrap(), column.parse().unwrap());
+            assert_eq!(maze.center(cell)[..], floats(center), "{id}: {cell:?}");
+            assert_eq!(maze.cell_at(maze.center(cell)), Some(cell), "{id}");
+        }
+        let blocks = facts["blocks"].as_array().unwrap().iter();
+        let blocks: Vec<&str> = blocks
+            .map(|block| block["name"].as_str().unwrap())
+            .collect();
+        let walls = maze.walls();
+        let walls: Vec<String> = (walls.iter().map(|(i, j)| format!("block_{i}_{j}"))).collect();
+        assert_eq!(walls, blocks, "{id}");
+        n_maps += 1;
+    }
+    assert!(n_maps > 0, "no maze in {}", folder.display());
+}
+
+#[test]
+fn golden_evaluation_maps() {
+    let cases = [
+        ("medium-diverse-v1", "Medium"),
+        ("large-play-parquet-v1", "Large"),
+    ];
+    for (dataset, size) in cases {
+        let folder = golden()
+            .join("data_fixtures/minari/D4RL/antmaze")
+            .join(dataset);
+        let metadata = read(&folder.join("data/metadata.json"));
+        let spec: Value =
+            serde_json::from_str(metadata["eval_env_spec"].as_str().unwrap()).unwrap();
+        let map = Maze::from_json(&spec["kwargs"]["maze_map"]);
+        assert_eq!(map.ok(), Maze::evaluation(size), "{dataset}");
     }
 }
