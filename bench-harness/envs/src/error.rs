@@ -12,6 +12,24 @@ pub enum EnvironmentError {
         /// Ids that look like it, best first.
         suggestions: Vec<String>,
     },
+    /// A published environment that is not offered, since its rules are faulty.
+    #[error("environment `{id}` is not offered: {reason}; use `{instead}`")]
+    Retired {
+        /// What was asked for.
+        id: String,
+        /// What is wrong with it.
+        reason: String,
+        /// The environment without the fault.
+        instead: String,
+    },
+    /// A maze map that is none.
+    #[error("environment `{id}`: argument `maze_map`: {source}")]
+    Maze {
+        /// The environment.
+        id: String,
+        /// What is wrong with the map.
+        source: crate::maze::MazeError,
+    },
     /// The environment exists, but this build was made without it.
     #[error(
         "environment `{id}` needs MuJoCo, which this build lacks: build ksim with `--features mujoco` \

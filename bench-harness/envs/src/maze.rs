@@ -7,11 +7,13 @@
 mod maps;
 mod parse;
 mod path;
+mod variant;
 
 use crate::error::EnvironmentError;
 use crate::numpy_rng::Generator;
 
 pub use parse::MazeError;
+pub(crate) use variant::Variant;
 
 /// Row and column of a cell.
 pub type Cell = (usize, usize);
