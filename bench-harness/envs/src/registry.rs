@@ -71,11 +71,11 @@ fn make_mujoco(
     kwargs: &Map<String, Value>,
     max_episode_steps: usize,
 ) -> Result<Box<dyn Environment>, EnvironmentError> {
-    let limit = Some(max_episode_steps);
-    Ok(match info.family {
-        Family::AntMaze => crate::mujoco::make_ant_maze(&info.id, kwargs, limit)?,
-        _ => crate::mujoco::make_locomotion(&info.id, kwargs, limit)?,
-    })
+    Ok(crate::mujoco::make(
+        &info.id,
+        kwargs,
+        Some(max_episode_steps),
+    )?)
 }
 
 #[cfg(not(feature = "mujoco"))]

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use ksim_envs::maze::{Cell, Maze};
 use ksim_envs::numpy_rng::Generator;
+use ksim_envs::registry::{EnvironmentRequest, for_minari_spec};
 use serde_json::Value;
 
 fn golden() -> PathBuf {
@@ -180,18 +181,32 @@ fn golden_maps() {
 
 #[test]
 fn golden_evaluation_maps() {
-    let cases = [
-        ("medium-diverse-v1", "Medium"),
-        ("large-play-parquet-v1", "Large"),
-    ];
-    for (dataset, size) in cases {
-        let folder = golden()
-            .join("data_fixtures/minari/D4RL/antmaze")
-            .join(dataset);
-        let metadata = read(&folder.join("data/metadata.json"));
-        let spec: Value =
-            serde_json::from_str(metadata["eval_env_spec"].as_str().unwrap()).unwrap();
-        let map = Maze::from_json(&spec["kwargs"]["maze_map"]);
-        assert_eq!(map.ok(), Maze::evaluation(size), "{dataset}");
+    let folder = golden().join("data_fixtures/minari/D4RL/antmaze");
+    let mut n_datasets = 0;
+    for entry in std::fs::read_dir(&folder).unwrap() {
+        let dataset = entry.unwrap().path();
+        let name = dataset.file_name().unwrap().to_string_lossy().into_owned();
+        let metadata = dataset.join("data/metadata.json");
+        if !metadata.is_file() {
+            continue;
+        }
+        let size = match name.split('-').next() {
+            Some("umaze") => "UMaze",
+            Some("medium") => "Medium",
+            _ => "Large",
+        };
+        let metadata = read(&metadata);
+        let spec = |key: &str| for_minari_spec(&name, &metadata[key]).unwrap();
+        let (collection, evaluation) = (spec("env_spec"), spec("eval_env_spec"));
+        assert_eq!(collection.id, evaluation.id, "{name}");
+        assert!(
+            collection.id.starts_with(&format!("AntMaze_{size}")),
+            "{name}"
+        );
+        let map = |request: &EnvironmentRequest| Maze::from_json(&request.kwargs["maze_map"]).ok();
+        assert_eq!(map(&collection), maze_of(&collection.id), "{name}");
+        assert_eq!(map(&evaluation), Maze::evaluation(size), "{name}");
+        n_datasets += 1;
     }
+    assert!(n_datasets > 0, "no dataset in {}", folder.display());
 }

@@ -29,6 +29,7 @@ impl Variant {
         })
     }
 
+    #[cfg(feature = "mujoco")]
     pub(crate) fn of_id(id: &str) -> Option<Self> {
         Self::all().find(|variant| variant.id() == id)
     }

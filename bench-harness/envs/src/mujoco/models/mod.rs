@@ -10,6 +10,7 @@
 pub(crate) mod ant;
 mod half_cheetah;
 mod legged;
+pub(crate) mod maze;
 
 /// The model that goes by the name of a published file.
 pub(crate) fn published(file: &str) -> Option<String> {

@@ -74,6 +74,11 @@ impl AntParams {
         Ok(params)
     }
 
+    /// Whether contact forces are observed.
+    pub(crate) fn observes_contact_forces(&self) -> bool {
+        self.first_observed_body.is_some()
+    }
+
     /// Whether the simulation has to compute contact forces.
     pub(crate) fn needs_contact_forces(&self) -> bool {
         self.contact_cost_weight.is_some()

@@ -25,25 +25,25 @@ const OF_THE_MAZE: [&str; 2] = [
     "reset_noise_scale",
 ];
 
-/// Makes `AntMaze_*-v4` or `-v5`, with the keyword arguments of gymnasium-robotics' constructors and those that they
+/// Makes a variant, with the keyword arguments of gymnasium-robotics' constructors and those that they
 /// hand on to the ant's. The time limit is the id's if no other is given.
 ///
 /// # Errors
-/// Another id, an argument that the version does not take or cannot use, a map that is no maze, or a model file that
+/// An argument that the version does not take or cannot use, a map that is no maze, or a model file that
 /// does not compile.
-pub fn make_ant_maze(
-    id: &str,
+pub(super) fn make(
+    variant: &Variant,
     kwargs: &Map<String, Value>,
     max_episode_steps: Option<usize>,
 ) -> Result<Box<dyn MujocoEnvironment>, EnvironmentError> {
-    let variant = Variant::of_id(id).ok_or_else(|| super::unknown(id))?;
+    let id = &variant.id();
     let version = if variant.version == 4 {
         Version::V4
     } else {
         Version::V5
     };
     let mut arguments = Arguments::new(id, kwargs);
-    let rules = Rules::read(id, &variant, kwargs, &mut arguments)?;
+    let rules = Rules::read(id, variant, kwargs, &mut arguments)?;
     let model = model(id, version, &rules.maze, &mut arguments)?;
     let frame_skip = super::frame_skip(version, &mut arguments, 5)?;
     let params = AntParams::read(version, &mut arguments)?;
@@ -52,7 +52,7 @@ pub fn make_ant_maze(
     let (action_low, action_high) = physics.control_ranges();
     let part = |name, width| Part { name, width };
     let spec = EnvironmentSpec {
-        id: id.to_owned(),
+        id: id.clone(),
         observation: vec![
             part("achieved_goal", N_PLACE),
             part("observation", ant.observation_dim(&physics)),
@@ -87,7 +87,9 @@ fn model(
 ) -> Result<MujocoModel, EnvironmentError> {
     let file = match version {
         Version::V4 => None,
-        Version::V5 => arguments.text("xml_file")?,
+        Version::V5 => arguments.take("xml_file", None, "the path of a file", |path| {
+            path.as_str().map(|path| Some(path.to_owned()))
+        })?,
     };
     let world = models::maze::world(maze);
     let Some(path) = file else {
@@ -99,7 +101,8 @@ fn model(
     };
     let xml = std::fs::read_to_string(&path).map_err(|error| refuse(error.to_string()))?;
     let end = xml.find("</worldbody>");
-    let end = end.ok_or_else(|| refuse("expected a `worldbody` to put the maze into".to_owned()))?;
+    let end =
+        end.ok_or_else(|| refuse("expected a `worldbody` to put the maze into".to_owned()))?;
     let (head, tail) = xml.split_at(end);
     MujocoModel::from_xml(&path, &[head, &world, tail].concat())
 }
@@ -123,7 +126,10 @@ impl Rules {
         arguments: &mut Arguments<'_>,
     ) -> Result<Self, EnvironmentError> {
         let id = || id.to_owned();
-        if let Some((name, value)) = kwargs.iter().find(|(name, _)| OF_THE_MAZE.contains(&name.as_str())) {
+        if let Some((name, value)) = kwargs
+            .iter()
+            .find(|(name, _)| OF_THE_MAZE.contains(&name.as_str()))
+        {
             return Err(EnvironmentError::Argument {
                 id: id(),
                 name: name.clone(),
@@ -139,13 +145,16 @@ impl Rules {
             Maze::from_json(map).ok()
         })?;
         let types = "\"sparse\" or \"dense\"";
-        let is_dense = arguments.take("reward_type", variant.is_dense, types, |value| {
-            match value.as_str()? {
+        let is_dense = arguments.take(
+            "reward_type",
+            variant.is_dense,
+            types,
+            |value| match value.as_str()? {
                 "sparse" => Some(false),
                 "dense" => Some(true),
                 _ => None,
-            }
-        })?;
+            },
+        )?;
         Ok(Self {
             maze,
             is_dense,
@@ -201,7 +210,12 @@ impl Task<MujocoPhysics> for AntMaze {
         desired.copy_from_slice(&self.goal);
     }
 
-    fn judge(&mut self, physics: &MujocoPhysics, _: &[f64], generator: &mut Generator) -> Judgement {
+    fn judge(
+        &mut self,
+        physics: &MujocoPhysics,
+        _: &[f64],
+        generator: &mut Generator,
+    ) -> Judgement {
         let rules = &self.rules;
         let distance = self.distance_to_goal(physics);
         let success = distance <= GOAL_RADIUS_M;
@@ -242,7 +256,7 @@ mod tests {
     use super::*;
 
     fn make(id: &str, kwargs: &Value) -> Result<Box<dyn MujocoEnvironment>, EnvironmentError> {
-        make_ant_maze(id, kwargs.as_object().unwrap(), None)
+        crate::mujoco::make(id, kwargs.as_object().unwrap(), None)
     }
 
     /// A maze whose goal is where the ant stands.
@@ -265,10 +279,19 @@ mod tests {
     #[test]
     fn parts_stand_in_the_published_order() {
         let (environment, observation, info) = at_the_goal(&json!({}));
-        let names: Vec<_> = environment.spec().observation.iter().map(|part| (part.name, part.width)).collect();
+        let names: Vec<_> = environment
+            .spec()
+            .observation
+            .iter()
+            .map(|part| (part.name, part.width))
+            .collect();
         assert_eq!(
             names,
-            [("achieved_goal", 2), ("observation", 27), ("desired_goal", 2)]
+            [
+                ("achieved_goal", 2),
+                ("observation", 27),
+                ("desired_goal", 2)
+            ]
         );
         assert_eq!(observation[..], info[..]);
     }
@@ -277,7 +300,11 @@ mod tests {
     fn observations_have_the_width_that_version_and_arguments_ask_for() {
         for (id, kwargs, width) in [
             ("AntMaze_Large-v4", json!({}), 31),
-            ("AntMaze_Large-v4", json!({"use_contact_forces": true}), 31 + 84),
+            (
+                "AntMaze_Large-v4",
+                json!({"use_contact_forces": true}),
+                31 + 84,
+            ),
             ("AntMaze_Large-v5", json!({}), 31 + 78),
             (
                 "AntMaze_Large-v5",
@@ -292,7 +319,10 @@ mod tests {
 
     #[test]
     fn a_reached_goal_pays_and_the_episode_goes_on_or_ends() {
-        for (kwargs, terminated) in [(json!({}), false), (json!({"continuing_task": false}), true)] {
+        for (kwargs, terminated) in [
+            (json!({}), false),
+            (json!({"continuing_task": false}), true),
+        ] {
             let (mut environment, mut observation, _) = at_the_goal(&kwargs);
             let outcome = environment.step(&[0.0; 8], &mut observation).unwrap();
             assert_eq!((outcome.reward, outcome.success), (1.0, Some(true)));
@@ -304,7 +334,10 @@ mod tests {
     fn a_dense_reward_falls_with_the_distance() {
         let (mut environment, mut observation, _) = at_the_goal(&json!({"reward_type": "dense"}));
         let outcome = environment.step(&[0.0; 8], &mut observation).unwrap();
-        let distance = distance([observation[0], observation[1]], [observation[29], observation[30]]);
+        let distance = distance(
+            [observation[0], observation[1]],
+            [observation[29], observation[30]],
+        );
         assert_eq!(outcome.reward, (-distance).exp());
     }
 
@@ -321,12 +354,31 @@ mod tests {
     #[test]
     fn unusable_arguments_are_named() {
         for (id, kwargs, expected) in [
-            ("AntMaze_UMaze-v4", json!({"maze_map": [[1, 1], [1]]}), "argument `maze_map`: row 1"),
-            ("AntMaze_UMaze-v4", json!({"reward_type": "none"}), "\"sparse\" or \"dense\""),
-            ("AntMaze_UMaze-v4", json!({"reset_noise_scale": 1.0}), "the maze sets it"),
-            ("AntMaze_UMaze-v4", json!({"xml_file": "ant.xml"}), "argument `xml_file`: expected one of "),
-            ("AntMaze_UMaze-v5", json!({"xml_file": "no/such.xml"}), "model no/such.xml: "),
-            ("AntMaze_UMaze-v3", json!({}), "unknown environment"),
+            (
+                "AntMaze_UMaze-v4",
+                json!({"maze_map": [[1, 1], [1]]}),
+                "argument `maze_map`: row 1",
+            ),
+            (
+                "AntMaze_UMaze-v4",
+                json!({"reward_type": "none"}),
+                "\"sparse\" or \"dense\"",
+            ),
+            (
+                "AntMaze_UMaze-v4",
+                json!({"reset_noise_scale": 1.0}),
+                "the maze sets it",
+            ),
+            (
+                "AntMaze_UMaze-v4",
+                json!({"xml_file": "ant.xml"}),
+                "argument `xml_file`: expected one of ",
+            ),
+            (
+                "AntMaze_UMaze-v5",
+                json!({"xml_file": "no/such.xml"}),
+                "model no/such.xml: ",
+            ),
         ] {
             let Err(error) = make(id, &kwargs) else {
                 panic!("{id} took {kwargs}");

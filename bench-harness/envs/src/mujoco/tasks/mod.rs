@@ -1,6 +1,7 @@
 //! What is asked of the robots, by the rules of the published environments.
 
 pub(crate) mod ant;
+mod ant_maze;
 mod planar;
 
 use serde_json::{Map, Value};
@@ -9,6 +10,7 @@ use super::arguments::Arguments;
 use super::{MujocoEnvironment, MujocoModel, MujocoPhysics, models};
 use crate::environment::{EnvironmentSpec, Part, RewardTerms};
 use crate::error::EnvironmentError;
+use crate::maze::Variant;
 use crate::numpy_rng::Generator;
 use crate::simulation::{Judgement, SimEnvironment, Task};
 use planar::Robot;
@@ -21,7 +23,7 @@ pub(crate) enum Version {
 }
 
 /// Makes an environment that MuJoCo steps, with the keyword arguments of Gymnasium's constructor: `HalfCheetah`,
-/// `Hopper`, `Walker2d` or `Ant`, `-v4` or `-v5`, of 1000 steps if no other limit is given.
+/// `Hopper`, `Walker2d` or `Ant`, `-v4` or `-v5`, of 1000 steps if no other limit is given, or an `AntMaze`.
 ///
 /// # Errors
 /// Another id, an argument that the version does not take or cannot use, or a model file that does not compile.
@@ -30,6 +32,9 @@ pub fn make(
     kwargs: &Map<String, Value>,
     max_episode_steps: Option<usize>,
 ) -> Result<Box<dyn MujocoEnvironment>, EnvironmentError> {
+    if let Some(variant) = Variant::of_id(id) {
+        return ant_maze::make(&variant, kwargs, max_episode_steps);
+    }
     let version = match id.rsplit_once('-') {
         Some((_, "v4")) => Version::V4,
         Some((_, "v5")) => Version::V5,
