@@ -38,9 +38,8 @@ const N_STEPS: usize = 100;
 /// Observations and rewards of all slots after some steps, and how often those steps allocated.
 fn run(id: &str, n_threads: usize) -> (Vec<f64>, usize) {
     let request = EnvironmentRequest {
-        id: id.to_owned(),
         max_episode_steps: Some(2 * N_STEPS),
-        ..EnvironmentRequest::default()
+        ..EnvironmentRequest::of_id(id)
     };
     let environments: Vec<Box<dyn Environment>> = (0..N_SLOTS)
         .map(|_| registry::make(&request).unwrap())
@@ -79,7 +78,7 @@ fn run(id: &str, n_threads: usize) -> (Vec<f64>, usize) {
 
 #[test]
 fn steps_allocate_nothing_and_threads_change_nothing() {
-    let robots = ["HalfCheetah-v5", "Ant-v5"];
+    let robots = ["HalfCheetah-v5", "Ant-v5", "AntMaze_UMaze-v4"];
     let ids = ["PointMass-v0"]
         .into_iter()
         .chain(robots.into_iter().filter(|_| cfg!(feature = "mujoco")));

@@ -8,7 +8,7 @@ use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::datatypes::{Float64Type, Int32Type};
 use ksim_envs::EnvironmentError;
 use ksim_envs::mujoco::{self, MujocoEnvironment};
-use ksim_envs::registry::{self, EnvironmentRequest};
+use ksim_envs::registry;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use serde_json::Value;
 
@@ -100,11 +100,7 @@ impl Recording {
         let mut recordings: Vec<Self> = paths.iter().map(|path| Self::open(path)).collect();
         recordings.retain(|recording| match recording.make() {
             Err(EnvironmentError::UnknownId { .. }) => {
-                let request = EnvironmentRequest {
-                    id: recording.env_id.clone(),
-                    ..EnvironmentRequest::default()
-                };
-                let is_known = registry::make(&request).is_ok();
+                let is_known = registry::find(&recording.env_id).is_ok();
                 assert!(!is_known, "{} is not replayed", recording.name);
                 false
             }

@@ -150,7 +150,7 @@ fn golden_free_runs() {
         .peekable();
     if cheetahs.peek().is_some() && cheetahs.all(|(_, (_, whole))| *whole == 0.0) {
         for (recording, (_, whole)) in recordings.iter().zip(&differences) {
-            // The recorded dense rewards come from another exponential function.
+            // NumPy computes the norm and exponential of dense rewards in its own way.
             let tolerance = if recording.is_maze() { 1e-16 } else { 0.0 };
             assert!(*whole <= tolerance, "{}: {whole:e}", recording.name);
         }
