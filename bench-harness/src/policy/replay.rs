@@ -109,3 +109,80 @@ impl Policy for Replay {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs::File;
+    use std::sync::Arc;
+
+    use arrow::array::{ArrayRef, FixedSizeListArray, Int64Array, RecordBatch};
+    use arrow::datatypes::Float64Type;
+    use ksim_envs::Environment as _;
+    use ksim_envs::toy::point_mass;
+    use parquet::arrow::ArrowWriter;
+    use tempfile::TempDir;
+
+    use super::*;
+
+    /// Two episodes, numbered 4 and 9: actions 0.5, -3 and 0.25.
+    fn recording(action_dim: i32) -> (TempDir, std::path::PathBuf) {
+        let list = |values: &[f64], width: i32| -> ArrayRef {
+            let rows = values
+                .iter()
+                .map(|value| Some(vec![Some(*value); width as usize]));
+            Arc::new(FixedSizeListArray::from_iter_primitive::<Float64Type, _, _>(rows, width))
+        };
+        let integers = |values: &[i64]| -> ArrayRef { Arc::new(Int64Array::from(values.to_vec())) };
+        let batch = RecordBatch::try_from_iter([
+            ("episode_index", integers(&[4, 4, 9])),
+            ("step_index", integers(&[0, 1, 0])),
+            ("observation", list(&[0.0, 0.0, 0.0], 2)),
+            ("action", list(&[0.5, -3.0, 0.25], action_dim)),
+        ])
+        .unwrap();
+        let folder = TempDir::new().unwrap();
+        let file = folder.path().join("recorded.parquet");
+        let mut writer =
+            ArrowWriter::try_new(File::create(&file).unwrap(), batch.schema(), None).unwrap();
+        writer.write(&batch).unwrap();
+        writer.close().unwrap();
+        (folder, file)
+    }
+
+    #[test]
+    fn actions_are_played_as_recorded_episode_by_episode() {
+        let (_folder, file) = recording(1);
+        let environment = point_mass(None);
+        let mut replay = Replay::open("replay:r".to_owned(), &file, environment.spec()).unwrap();
+        let start = |episode| EpisodeStart { episode, seed: 0 };
+        assert_eq!(
+            replay.start_episode(3, &start(0)).unwrap(),
+            NonZeroUsize::new(2)
+        );
+        assert_eq!(
+            replay.start_episode(0, &start(1)).unwrap(),
+            NonZeroUsize::new(1)
+        );
+        let mut actions = [0.0; 2];
+        replay.act(&[0, 3], &[0.0; 4], &mut actions).unwrap();
+        assert_eq!(actions, [0.25, 0.5]);
+        replay.act(&[3], &[0.0; 2], &mut actions[..1]).unwrap();
+        assert_eq!(actions[0], -3.0);
+        let error = replay.start_episode(0, &start(2)).unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "the recording has 2 episodes, none with number 2 (from 0)"
+        );
+    }
+
+    #[test]
+    fn actions_of_another_width_are_refused() {
+        let (_folder, file) = recording(3);
+        let environment = point_mass(None);
+        let error = Replay::open("replay:r".to_owned(), &file, environment.spec()).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "policy `replay:r` has 3 actions, environment `PointMass-v0` has 1"
+        );
+    }
+}
