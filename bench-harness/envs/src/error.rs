@@ -18,7 +18,7 @@ pub enum EnvironmentError {
         /// What was asked for.
         id: String,
         /// What is wrong with it.
-        reason: String,
+        reason: &'static str,
         /// The environment without the fault.
         instead: String,
     },

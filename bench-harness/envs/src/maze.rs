@@ -334,6 +334,48 @@ mod tests {
     }
 
     #[test]
+    fn given_cells_and_next_goals_are_drawn_as_published() {
+        // gymnasium-robotics 1.4.2: AntMaze_Medium_Diverse_GR-v4, reset(seed=7, options=…), then update_goal(goal).
+        let maze = Maze::published("Medium_Diverse_GR").expect("published");
+        for (goal_cell, start_cell, goal, start) in [
+            (
+                Some((1, 2)),
+                Some((6, 5)),
+                [-5.749809066790666, 10.794427601939152],
+                [6.551371380490387, -10.549585620018817],
+            ),
+            (
+                Some((1, 1)),
+                None,
+                [-9.749809066790666, 10.794427601939152],
+                [-10.549585620018817, -6.39966743017755],
+            ),
+            (
+                None,
+                Some((6, 5)),
+                [6.794427601939151, -9.448628619509613],
+                [5.450414379981184, -10.39966743017755],
+            ),
+        ] {
+            let drawn = maze.draw_episode(goal_cell, start_cell, &mut Generator::new(7));
+            assert_eq!(drawn, Ok(Layout { goal, start }));
+        }
+        let mut generator = Generator::new(7);
+        let layout = maze.draw_episode(None, None, &mut generator);
+        let mut goal = layout.expect("free cells").goal;
+        for next in [
+            [9.01053060913115, 6.642456836765533],
+            [6.594138857504093, -10.064130094312558],
+            [5.556851224201546, -10.49026082469175],
+        ] {
+            goal = maze
+                .draw_next_goal(goal, &mut generator)
+                .expect("four cells");
+            assert_eq!(goal, next);
+        }
+    }
+
+    #[test]
     fn walls_places_outside_and_goals_without_a_start_are_refused() {
         let maze = maze(&["11111", "1r001", "11111"]);
         let mut generator = Generator::new(0);

@@ -69,7 +69,7 @@ fn counterpart(name: &str) -> String {
 }
 
 /// The environment of a specification that Gymnasium wrote: `env_spec` or `eval_env_spec` of Minari's metadata, as JSON
-/// or as text that holds it. `dataset` is what errors call it.
+/// or as text that holds it. Without a time limit in it, the id's counts. `dataset` is what errors call it.
 ///
 /// # Errors
 /// Text that is no specification, an id or class that is not among ours, or wrappers, which could change anything.

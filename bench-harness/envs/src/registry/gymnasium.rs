@@ -93,7 +93,7 @@ fn boxed(dtype: &str, [low, high]: [Vec<Value>; 2]) -> Value {
 mod tests {
     use super::*;
     use crate::environment::Part;
-    use crate::registry::all;
+    use crate::registry::{EnvironmentRequest, all, for_minari_spec};
 
     fn spec(info: &EnvironmentInfo) -> EnvironmentSpec {
         let part = |name, width| Part { name, width };
@@ -132,6 +132,30 @@ mod tests {
         assert_eq!(kwargs["reward_type"], "dense");
         assert_eq!(kwargs["continuing_task"], false);
         assert!(kwargs["maze_map"].is_array());
+    }
+
+    #[test]
+    fn what_is_written_leads_back_to_the_environment() {
+        for info in all().filter(|info| info.needs_mujoco) {
+            let mut spec = spec(&info);
+            spec.max_episode_steps = 77;
+            spec.kwargs
+                .insert("ctrl_cost_weight".to_owned(), 0.25.into());
+            let mut kwargs = info.kwargs.clone();
+            kwargs.extend(spec.kwargs.clone());
+            let expected = EnvironmentRequest {
+                id: info.id.clone(),
+                kwargs,
+                max_episode_steps: Some(77),
+            };
+            let written = env_spec(&spec).expect(&info.id);
+            assert_eq!(
+                for_minari_spec("mine", &written),
+                Ok(expected),
+                "{}",
+                info.id
+            );
+        }
     }
 
     #[test]

@@ -98,23 +98,23 @@ pub fn find(name: &str) -> Result<EnvironmentInfo, EnvironmentError> {
         let id = plain(&info.id);
         id == wanted || (is_default(info) && stem(&id) == wanted)
     });
-    if let Some(info) = found {
-        return Ok(info);
-    }
-    let is_retired =
-        |variant: &Variant| plain(&variant.id()).strip_suffix("4") == wanted.strip_suffix("3");
-    if let Some(variant) = Variant::all().filter(|v| v.version == 4).find(is_retired)
-        && wanted.ends_with("_v3")
-    {
-        return Err(EnvironmentError::Retired {
-            id: variant.id().replace("-v4", "-v3"),
-            reason: "its goal moves before the reward is computed, so that reaching it almost never pays".to_owned(),
-            instead: variant.id(),
-        });
-    }
-    Err(EnvironmentError::UnknownId {
-        id: name.to_owned(),
-        suggestions: suggest::closest(&wanted, all().map(|info| info.id), plain),
+    found.ok_or_else(|| {
+        retired(&wanted).unwrap_or_else(|| EnvironmentError::UnknownId {
+            id: name.to_owned(),
+            suggestions: suggest::closest(&wanted, all().map(|info| info.id), plain),
+        })
+    })
+}
+
+/// Says why version 3 of a maze is not offered, if that is what was asked for.
+fn retired(wanted: &str) -> Option<EnvironmentError> {
+    let stem = wanted.strip_suffix("_v3")?;
+    let mut mazes = Variant::all().map(|variant| variant.id());
+    let instead = mazes.find(|id| plain(id) == format!("{stem}_v4"))?;
+    Some(EnvironmentError::Retired {
+        id: instead.replace("-v4", "-v3"),
+        reason: "its goal moves before the reward is computed, so that reaching it almost never pays",
+        instead,
     })
 }
 
