@@ -18,11 +18,3 @@ fn every_environment_conforms() {
     }
     assert_eq!(n_checked > 1, has_mujoco);
 }
-
-#[cfg(feature = "mujoco")]
-#[test]
-fn mazes() {
-    for maze in ["AntMaze_UMaze-v4", "AntMaze_Large_Diverse_GRDense-v5"] {
-        check(maze);
-    }
-}
