@@ -83,7 +83,8 @@ pub(super) const PUBLISHED: [Map; 10] = [
     ),
 ];
 
-/// Maps with one start and one goal, as the `eval_env_spec` of Minari's `D4RL/antmaze` datasets has them. The U is mirrored.
+/// Maps with one start and one goal, as the `eval_env_spec` of Minari's `D4RL/antmaze` datasets has them. The U is
+/// mirrored.
 pub(super) const EVALUATION: [Map; 3] = [
     ("UMaze", &["11111", "100r1", "10111", "100g1", "11111"]),
     (
