@@ -1,7 +1,9 @@
 //! What a rollout leaves: one record per episode, and the steps.
 
+mod comparison;
 mod summary;
 
+pub use comparison::Comparison;
 pub use summary::{SuccessRates, Summary};
 
 /// One episode, in numbers.
@@ -49,4 +51,31 @@ pub struct EpisodeTrace {
     pub infos: Vec<f64>,
     /// `(N + 1,)`, the reset's first; empty where the environment reports no success.
     pub successes: Vec<bool>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::EpisodeRecord;
+
+    /// An episode of ten steps.
+    pub(super) fn record(
+        run: usize,
+        total_return: f64,
+        first_success_step: Option<usize>,
+    ) -> EpisodeRecord {
+        EpisodeRecord {
+            episode: 0,
+            run,
+            seed: 0,
+            length: 10,
+            total_return,
+            discounted_return: total_return / 2.0,
+            terminated: total_return > 3.0,
+            truncated: true,
+            success: Some(first_success_step.is_some()),
+            success_at_end: Some(first_success_step == Some(10)),
+            first_success_step,
+            normalized_score: Some(total_return / 4.0),
+        }
+    }
 }

@@ -70,7 +70,7 @@ pub trait Observer {
 /// order do not depend on how many that are, nor on the number of threads.
 ///
 /// Ends early, without an error, where the observer stops it. Finished episodes that wait for a slower one are held
-/// in memory.
+/// in memory. Called inside the pool (`pool.install`), a step allocates nothing but the room for what is recorded.
 ///
 /// # Errors
 /// A configuration that makes no sense, before any step; the environment or the policy failed, with episode and step,

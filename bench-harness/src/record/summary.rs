@@ -93,23 +93,7 @@ fn run_means(records: &[EpisodeRecord]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn record(run: usize, total_return: f64, first_success_step: Option<usize>) -> EpisodeRecord {
-        EpisodeRecord {
-            episode: 0,
-            run,
-            seed: 0,
-            length: 10,
-            total_return,
-            discounted_return: total_return / 2.0,
-            terminated: total_return > 3.0,
-            truncated: true,
-            success: Some(first_success_step.is_some()),
-            success_at_end: Some(first_success_step == Some(10)),
-            first_success_step,
-            normalized_score: Some(total_return / 4.0),
-        }
-    }
+    use crate::record::tests::record;
 
     #[test]
     fn numbers_are_those_of_the_episodes() {

@@ -59,11 +59,12 @@ fn play(
     (keep.traces, result)
 }
 
-/// Pushes with a constant force; NaN at step `nan_step` of one episode.
+/// Pushes with a constant force, but for one step (episode, step) with NaN and one without an action.
 struct Push {
     force: f64,
     n_playable: Option<NonZeroUsize>,
     nan_at: Option<(usize, usize)>,
+    none_at: Option<(usize, usize)>,
     slots: [(usize, usize); 8],
 }
 
@@ -73,6 +74,7 @@ impl Push {
             force,
             n_playable: None,
             nan_at: None,
+            none_at: None,
             slots: Default::default(),
         }
     }
@@ -98,12 +100,25 @@ impl Policy for Push {
         _observations: &[f64],
         actions: &mut [f64],
     ) -> Result<(), Vec<(usize, PolicyError)>> {
+        let mut failures = Vec::new();
         for (&slot, action) in slots.iter().zip(actions) {
+            if self.none_at == Some(self.slots[slot]) {
+                let (episode, n_episodes) = (0, 0);
+                let error = PolicyError::NoEpisode {
+                    episode,
+                    n_episodes,
+                };
+                failures.push((slot, error));
+            }
             let is_nan = self.nan_at == Some(self.slots[slot]);
             *action = if is_nan { f64::NAN } else { self.force };
             self.slots[slot].1 += 1;
         }
-        Ok(())
+        if failures.is_empty() {
+            Ok(())
+        } else {
+            Err(failures)
+        }
     }
 }
 
@@ -213,6 +228,93 @@ fn a_failed_episode_leaves_all_before_it() {
         assert_eq!(error.to_string(), "episode 5, step 3: policy `push`");
         let source = std::error::Error::source(&error).unwrap().to_string();
         assert_eq!(source, "action 0 is NaN, expected a finite number");
+    }
+}
+
+#[test]
+fn of_several_failures_the_earliest_episode_counts() {
+    let mut policy = Push::new(1.0);
+    policy.nan_at = Some((4, 2));
+    policy.none_at = Some((6, 0));
+    for (none_at, n_kept) in [((6, 0), 4), ((3, 5), 3), ((4, 2), 4)] {
+        policy.none_at = Some(none_at);
+        for n_slots in [1, 3, 8] {
+            let (traces, result) = play(n_slots, &mut policy, &config(9));
+            assert_eq!(traces.len(), n_kept, "{n_slots} slots");
+            assert!(
+                matches!(result, Err(HarnessError::Policy { episode, .. }) if episode == n_kept)
+            );
+        }
+    }
+}
+
+/// A point mass whose simulation diverges in its third step where the start is right of a place.
+struct Diverging<E> {
+    environment: E,
+    n_steps: usize,
+    limit: f64,
+}
+
+impl<E: Environment> Environment for Diverging<E> {
+    fn spec(&self) -> &ksim_envs::EnvironmentSpec {
+        self.environment.spec()
+    }
+
+    fn reset(
+        &mut self,
+        seed: Option<u64>,
+        options: &ResetOptions,
+        observation: &mut [f64],
+    ) -> Result<ksim_envs::ResetOutcome, ksim_envs::EnvironmentError> {
+        let outcome = self.environment.reset(seed, options, observation)?;
+        self.n_steps = if observation[0] > self.limit { 0 } else { 99 };
+        Ok(outcome)
+    }
+
+    fn step(
+        &mut self,
+        action: &[f64],
+        observation: &mut [f64],
+    ) -> Result<ksim_envs::StepOutcome, ksim_envs::EnvironmentError> {
+        self.n_steps += 1;
+        if self.n_steps == 3 {
+            return Err(ksim_envs::EnvironmentError::Diverged {
+                step: 2,
+                message: "too fast".to_owned(),
+            });
+        }
+        self.environment.step(action, observation)
+    }
+
+    fn read_info(&self, info: &mut [f64]) {
+        self.environment.read_info(info);
+    }
+}
+
+#[test]
+fn a_simulation_that_diverges_leaves_all_episodes_before_it() {
+    let (all, _) = play(1, &mut Push::new(1.0), &config(12));
+    let starts: Vec<f64> = all.iter().map(|trace| trace.observations[0]).collect();
+    // Only episodes that start right of the first three can fail.
+    let limit = starts[..3].iter().copied().fold(f64::MIN, f64::max);
+    let first = starts.iter().position(|start| *start > limit);
+    let first = first.expect("a later episode starts farther right");
+    for n_slots in [1, 2, 5] {
+        let one = || Diverging {
+            environment: point_mass(None),
+            n_steps: 0,
+            limit,
+        };
+        let slots = (0..n_slots).map(|_| Box::new(one()) as Box<dyn Environment>);
+        let mut environments = VectorEnvironment::new(slots.collect()).unwrap();
+        let mut keep = Keep::default();
+        let mut policy = Push::new(1.0);
+        let result = rollout(&mut environments, &mut policy, &config(12), &mut keep);
+        assert_eq!(keep.traces, all[..first]);
+        let Err(HarnessError::Environment { episode, step, .. }) = result else {
+            panic!("{result:?}");
+        };
+        assert_eq!((episode, step), (first, 2));
     }
 }
 
