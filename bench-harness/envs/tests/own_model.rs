@@ -72,3 +72,38 @@ fn a_broken_model_is_named_with_what_is_wrong_and_where() {
     let lame = refuse("lame.xml", &PLATE.replace(motor, ""));
     assert!(lame.contains("no actuators"), "{lame}");
 }
+
+#[test]
+fn a_robot_of_ones_own_walks_in_the_maze() {
+    let ball = r#"<mujoco>
+  <worldbody>
+    <geom type="plane" size="40 40 40" condim="1"/>
+    <body pos="0 0 0.5"><joint name="root" type="free"/><geom size="0.3" condim="1"/></body>
+  </worldbody>
+  <actuator><motor joint="root" gear="1000 0 0 0 0 0"/></actuator>
+</mujoco>"#;
+    let make = |name: &str, xml: &str| {
+        let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+        std::fs::write(&path, xml).unwrap();
+        let kwargs = json!({"xml_file": path, "include_cfrc_ext_in_observation": false});
+        mujoco::make("AntMaze_UMaze-v5", kwargs.as_object().unwrap(), None)
+    };
+    let mut environment = make("ball.xml", ball).unwrap();
+    let mut observation = vec![0.0; 2 + (5 + 6) + 2];
+    let options = ResetOptions {
+        goal_cell: Some((3, 1)),
+        reset_cell: Some((1, 1)),
+    };
+    environment
+        .reset(Some(0), &options, &mut observation)
+        .unwrap();
+    for _ in 0..200 {
+        environment.step(&[1.0], &mut observation).unwrap();
+    }
+    // The wall of cell (1, 4) begins at x = 6.
+    assert!((5.5..6.0).contains(&observation[0]), "{observation:?}");
+    let Err(error) = make("empty.xml", "<mujoco/>") else {
+        panic!("no maze can be put into an empty model");
+    };
+    assert!(error.to_string().contains("worldbody"), "{error}");
+}

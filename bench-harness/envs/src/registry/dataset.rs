@@ -25,10 +25,10 @@ pub struct DatasetEnvironment {
 const OLD_ENGINE: &str = "recorded in an older environment and engine: version 4 has the same rules, but actions do \
     not replay, and D4RL's reference scores are a convention";
 const OLD_ANT: &str = "recorded in an older environment and engine, where the 84 contact forces of an observation are \
-    practically zero: version 4 has the same rules, but real forces; actions do not replay, and D4RL's reference scores \
-    are a convention";
-const OTHER_MAZE: &str = "D4RL's AntMaze is an environment of its own (29 numbers without the goal, steps of 0.1 s, origin \
-    at the start, the episode ends within 0.5 m of the goal), and its policies do not transfer";
+    practically zero: version 4 has the same rules, but real forces; actions do not replay, and D4RL's reference \
+    scores are a convention";
+const OTHER_MAZE: &str = "D4RL's AntMaze is an environment of its own (29 numbers without the goal, steps of 0.1 s, \
+    origin at the start, the episode ends within 0.5 m of the goal), and its policies do not transfer";
 
 /// The environment of a D4RL dataset, such as `hopper-medium-v2`: version 4 of the robot's, with contact forces for
 /// Ant, whose 111 observed numbers include them.

@@ -15,7 +15,8 @@ pub(crate) fn world(maze: &Maze) -> String {
         let [x, y] = maze.center((row, column));
         let pos = numbers([x, y, half_height]);
         format!(
-            r#"<geom name="block_{row}_{column}" type="box" pos="{pos}" size="{size}" contype="1" conaffinity="1" rgba="0.7 0.5 0.3 1"/>
+            r#"<geom name="block_{row}_{column}" type="box" pos="{pos}" size="{size}" contype="1" conaffinity="1"
+            rgba="0.7 0.5 0.3 1"/>
         "#
         )
     };

@@ -49,7 +49,7 @@ pub(super) fn make(
     let params = AntParams::read(version, &mut arguments)?;
     let physics = MujocoPhysics::new(&model, frame_skip, params.observes_contact_forces())?;
     let ant = Ant::new(id, params, &model, &physics)?;
-    let (action_low, action_high) = physics.control_ranges();
+    let (action_low, action_high) = super::action_ranges(id, &physics)?;
     let part = |name, width| Part { name, width };
     let spec = EnvironmentSpec {
         id: id.clone(),

@@ -80,13 +80,7 @@ impl<T: Task<MujocoPhysics> + 'static> Rules<T> {
         arguments: Arguments<'_>,
         max_episode_steps: usize,
     ) -> Result<Box<dyn MujocoEnvironment>, EnvironmentError> {
-        let (action_low, action_high) = self.physics.control_ranges();
-        if action_low.is_empty() {
-            return Err(EnvironmentError::Model {
-                model: id.to_owned(),
-                message: "no actuators, expected at least one".to_owned(),
-            });
-        }
+        let (action_low, action_high) = action_ranges(id, &self.physics)?;
         let part = |name, width| Part { name, width };
         let spec = EnvironmentSpec {
             id: id.to_owned(),
@@ -104,6 +98,21 @@ impl<T: Task<MujocoPhysics> + 'static> Rules<T> {
         };
         Ok(Box::new(SimEnvironment::new(spec, self.physics, self.task)))
     }
+}
+
+/// Lowest and highest action.
+fn action_ranges(
+    id: &str,
+    physics: &MujocoPhysics,
+) -> Result<(Vec<f64>, Vec<f64>), EnvironmentError> {
+    let ranges = physics.control_ranges();
+    if ranges.0.is_empty() {
+        return Err(EnvironmentError::Model {
+            model: id.to_owned(),
+            message: "no actuators, expected at least one".to_owned(),
+        });
+    }
+    Ok(ranges)
 }
 
 /// The model of `xml_file`, where the constructor takes one: a published name, or else the path of a file.
