@@ -1,12 +1,14 @@
 //! Closed-loop rollouts: policies, the one rollout loop, its records and their statistics.
 //!
 //! Module map: [`policy`] chooses actions; [`rollout`] is the only loop that steps environments; [`record`] is what
-//! it leaves, per episode and per step; [`stats`] are pure functions over records; [`figure`] draws.
+//! it leaves, per episode and per step; [`recording`] writes it as a dataset; [`stats`] are pure functions over
+//! records; [`figure`] draws.
 
 mod error;
 pub mod figure;
 pub mod policy;
 pub mod record;
+pub mod recording;
 mod rng;
 pub mod rollout;
 pub mod stats;

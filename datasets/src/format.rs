@@ -69,6 +69,12 @@ impl Format {
             Self::Robomimic => "robomimic",
         }
     }
+
+    /// Whether a dataset of this format is a folder of its own.
+    pub fn is_folder(self) -> bool {
+        use Format::{LeRobot, MinariArrow, MinariHdf5, MinariParquet};
+        matches!(self, LeRobot | MinariArrow | MinariHdf5 | MinariParquet)
+    }
 }
 
 impl fmt::Display for Format {

@@ -3,16 +3,18 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
+use std::sync::Arc;
 
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
 
-use crate::episode::EpisodeRecord;
+use crate::episode::{EpisodeRecord, records_json};
 use crate::error::{DatasetError, Result};
 use crate::format::{Format, OpenOptions, open};
 use crate::formats::parquet::ParquetSink;
 use crate::formats::tabular::{ColumnNames, FilePlan};
 use crate::formats::{hdf5_writing, ipc, lerobot, mcap_files, minari};
+use crate::schema;
 use crate::source::{DatasetInfo, DatasetSource, Scan};
 use crate::staging::Staged;
 
@@ -204,7 +206,7 @@ pub fn create(
         plan.map_err(|error| error.in_file(path))?;
     }
     let created = match format {
-        Format::Parquet => ParquetSink::create(path, input.schema.clone())
+        Format::Parquet => ParquetSink::create(path, with_records(input, options))
             .map(|sink| Box::new(sink) as Box<dyn DatasetSink>),
         Format::ArrowIpc => ipc::create(path, input, options),
         Format::D4rlHdf5 => hdf5_writing::create_d4rl(path, input, options),
@@ -219,6 +221,18 @@ pub fn create(
         }),
     };
     created.map_err(|error| error.in_file(path))
+}
+
+/// The schema of a file without a place of its own for the id and for what the source records of its episodes.
+pub(crate) fn with_records(input: &SinkInput<'_>, options: &WriteOptions) -> SchemaRef {
+    let mut metadata = input.schema.metadata().clone();
+    if let Some(id) = &options.id {
+        metadata.insert(schema::SOURCE_ID.to_owned(), id.clone());
+    }
+    if let Some(records) = records_json(input.episodes) {
+        metadata.insert(schema::EPISODE_RECORDS.to_owned(), records);
+    }
+    Arc::new(input.schema.as_ref().clone().with_metadata(metadata))
 }
 
 /// Checks that what was written can be read, puts it in its place, and describes it.

@@ -16,7 +16,7 @@ use arrow::datatypes::{Int64Type, Schema, SchemaRef};
 
 pub use cast::{Cast, CastReport};
 
-use crate::episode::{EpisodeRecord, column, records_json};
+use crate::episode::column;
 use crate::error::{DatasetError, Result};
 use crate::format::{Format, detect};
 use crate::schema;
@@ -103,12 +103,12 @@ pub fn convert(
     let all = source.episodes().map_err(in_source)?;
     let episodes = select::episodes(all, options.episodes.as_deref()).map_err(in_source)?;
     let casts = Casts::new(&selected.schema, &options.casts).map_err(in_source)?;
-    let casted = with_records(casts.schema(), &episodes, options.format);
+    let casted = without_records(casts.schema());
     let numbers = options
         .episodes
         .is_some()
         .then(|| episodes.iter().map(|e| e.episode_index).collect());
-    check_target(target, options.format, options.write.overwrite).map_err(|e| e.in_file(target))?;
+    check_target(target, options.format, options.write.overwrite)?;
 
     let input = SinkInput {
         schema: &casted,
@@ -173,36 +173,33 @@ impl Run {
     }
 }
 
-/// The schema with what the source records of its episodes, for formats without a place for it.
-fn with_records(schema: &SchemaRef, episodes: &[EpisodeRecord], format: Format) -> SchemaRef {
+/// The schema without what the source records of all its episodes: sinks add it for those that are kept.
+fn without_records(schema: &SchemaRef) -> SchemaRef {
     let mut metadata = schema.metadata().clone();
     metadata.remove(schema::EPISODE_RECORDS);
-    if matches!(format, Format::Parquet | Format::ArrowIpc) {
-        metadata
-            .extend(records_json(episodes).map(|json| (schema::EPISODE_RECORDS.to_owned(), json)));
-    }
     Arc::new(Schema::new_with_metadata(schema.fields().clone(), metadata))
 }
 
-/// Refuses a destination that is taken; with `overwrite`, only one that cannot be replaced: a folder by a file or a
-/// file by a folder, or a folder that is no dataset.
-fn check_target(target: &Path, format: Format, overwrite: bool) -> Result<()> {
+/// Checks that a dataset of a format can take its place.
+///
+/// # Errors
+/// The destination is taken; with `overwrite`, only where it cannot be replaced: a folder by a file or a file by a
+/// folder, or a folder that is no dataset.
+pub fn check_target(target: &Path, format: Format, overwrite: bool) -> Result<()> {
+    check_free(target, format, overwrite).map_err(|error| error.in_file(target))
+}
+
+fn check_free(target: &Path, format: Format, overwrite: bool) -> Result<()> {
     if !is_occupied(target) {
         return Ok(());
     }
     let is_folder = target.is_dir();
-    if !overwrite || is_folder != is_folder_of_files(format) {
+    if !overwrite || is_folder != format.is_folder() {
         return Err(DatasetError::AlreadyExists);
     }
     // A folder with a recording in it may hold anything else, and nothing that is written is one.
     match is_folder.then(|| detect(target)).transpose()? {
-        Some(found) if !is_folder_of_files(found) => Err(DatasetError::AlreadyExists),
+        Some(found) if !found.is_folder() => Err(DatasetError::AlreadyExists),
         _ => Ok(()),
     }
-}
-
-/// Whether a dataset of this format is a folder of its own.
-fn is_folder_of_files(format: Format) -> bool {
-    use Format::{LeRobot, MinariArrow, MinariHdf5, MinariParquet};
-    matches!(format, LeRobot | MinariArrow | MinariHdf5 | MinariParquet)
 }

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{convert, dataset, demo, score};
+use crate::commands::{convert, dataset, demo, env, plot, rollout, score};
 use crate::context::{Context, GlobalArgs};
 use crate::outcome::CommandOutcome;
 
@@ -22,6 +22,9 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Score(Box<score::ScoreArgs>),
+    Rollout(Box<rollout::RolloutArgs>),
+    Env(env::EnvArgs),
+    Plot(plot::PlotArgs),
     Convert(Box<convert::ConvertArgs>),
     Dataset(dataset::DatasetArgs),
     Demo(demo::DemoArgs),
@@ -33,6 +36,9 @@ impl Cli {
         let context = Context::new(&self.globals)?;
         match self.command {
             Command::Score(args) => score::run(&args, &context),
+            Command::Rollout(args) => rollout::run(&args, &context),
+            Command::Env(args) => env::run(&args),
+            Command::Plot(args) => plot::run(&args, &context),
             Command::Convert(args) => convert::run(&args, &context),
             Command::Dataset(args) => dataset::run(&args, &context),
             Command::Demo(args) => demo::run(&args, &context),

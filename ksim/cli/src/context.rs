@@ -54,6 +54,13 @@ impl Context {
         }
     }
 
+    /// Says on stderr how the work went.
+    pub(crate) fn note(&self, message: &str) {
+        if !self.quiet {
+            output::note(message);
+        }
+    }
+
     /// Progress of something with a known number of parts, on a terminal only.
     pub(crate) fn bar(&self, what: String, len: u64, unit: &str) -> Progress {
         let template = format!("{{msg}} [{{bar:30}}] {{human_pos}}/{{human_len}} {unit} {{eta}}");
@@ -100,6 +107,11 @@ impl Progress {
     /// So many parts are done.
     pub(crate) fn set(&self, done: u64) {
         self.0.set_position(done);
+    }
+
+    /// What is being done, anew.
+    pub(crate) fn say(&self, what: String) {
+        self.0.set_message(what);
     }
 
     /// So many of that many are done.

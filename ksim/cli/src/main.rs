@@ -1,4 +1,5 @@
-//! The `ksim` command: scores rollouts against a dataset, and shows what a dataset holds.
+//! The `ksim` command: plays policies in environments, scores rollouts against a dataset, and shows what a dataset
+//! holds.
 
 mod atomic;
 mod centers;
@@ -7,11 +8,14 @@ mod commands;
 mod context;
 mod data_args;
 mod document;
+mod episodes_table;
 mod load;
 mod outcome;
 mod output;
 mod pairing;
 mod per_step;
+mod rolling;
+mod rollout_args;
 mod scoring;
 mod settings;
 mod table;

@@ -43,6 +43,11 @@ pub(crate) fn warning(message: &str) {
     to_stderr(&format!("warning: {message}"));
 }
 
+/// Writes to stderr what is worth knowing and neither a result nor a fault.
+pub(crate) fn note(message: &str) {
+    to_stderr(message);
+}
+
 /// Writes what went wrong to stderr, once, and gives the exit code that goes with it.
 pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
     if let Some(usage) = error.downcast_ref::<clap::Error>() {

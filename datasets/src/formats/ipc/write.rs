@@ -9,10 +9,9 @@ use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::datatypes::{Int64Type, SchemaRef};
 use arrow::ipc::writer::FileWriter;
 
-use crate::episode::records_json;
 use crate::error::{DatasetError, Result};
 use crate::schema;
-use crate::sink::{DatasetSink, SinkInput, WriteOptions, Written, publish};
+use crate::sink::{DatasetSink, SinkInput, WriteOptions, Written, publish, with_records};
 use crate::staging::Staged;
 
 /// A record batch is closed at the first episode border after this many rows or bytes.
@@ -47,18 +46,6 @@ pub(crate) fn create(
         n_rows: 0,
         n_bytes: 0,
     }))
-}
-
-/// The schema of the file: what the source records of its episodes goes with it.
-fn with_records(input: &SinkInput<'_>, options: &WriteOptions) -> SchemaRef {
-    let mut metadata = input.schema.metadata().clone();
-    if let Some(id) = &options.id {
-        metadata.insert(schema::SOURCE_ID.to_owned(), id.clone());
-    }
-    if let Some(records) = records_json(input.episodes) {
-        metadata.insert(schema::EPISODE_RECORDS.to_owned(), records);
-    }
-    Arc::new(input.schema.as_ref().clone().with_metadata(metadata))
 }
 
 /// Writes an Arrow IPC file: not packed, so that it can be mapped, its record batches cut at episode borders.

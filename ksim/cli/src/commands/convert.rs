@@ -81,7 +81,7 @@ struct WriteArgs {
 
 /// The formats that are written.
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Target {
+pub(crate) enum Target {
     /// Canonical table of steps, zstd
     Parquet,
     /// The same, uncompressed, for memory mapping
@@ -157,7 +157,8 @@ impl WriteArgs {
     }
 }
 
-fn episode_range(text: &str) -> Result<Range<i64>> {
+/// Episode numbers: one, or a half-open range.
+pub(crate) fn episode_range(text: &str) -> Result<Range<i64>> {
     let number = |text: &str| text.parse::<i64>().with_context(|| format!("\"{text}\""));
     let range = match text.split_once("..") {
         Some((start, end)) => number(start)?..number(end)?,
@@ -231,7 +232,8 @@ pub(crate) fn run(args: &ConvertArgs, context: &Context) -> Result<CommandOutcom
     Ok(CommandOutcome::of([&report.source]))
 }
 
-fn format_of(output: &Path) -> Result<Format> {
+/// The format that a name tells.
+pub(crate) fn format_of(output: &Path) -> Result<Format> {
     let suffix = output.extension().and_then(|suffix| suffix.to_str());
     match suffix {
         Some("parquet") => Ok(Format::Parquet),

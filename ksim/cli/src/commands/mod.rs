@@ -3,4 +3,7 @@
 pub(crate) mod convert;
 pub(crate) mod dataset;
 pub(crate) mod demo;
+pub(crate) mod env;
+pub(crate) mod plot;
+pub(crate) mod rollout;
 pub(crate) mod score;

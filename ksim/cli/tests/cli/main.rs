@@ -1,5 +1,6 @@
 //! The command at its border: exit codes, stdout and stderr, files.
 
+mod collect;
 mod convert;
 #[cfg(feature = "download")]
 mod download;
@@ -9,7 +10,9 @@ mod golden;
 #[cfg(feature = "mcap")]
 mod mcap;
 mod pairing;
+mod plot;
 mod process;
+mod rollout;
 mod score;
 #[cfg(feature = "download")]
 #[expect(dead_code, reason = "the tests of the downloader need more of it")]

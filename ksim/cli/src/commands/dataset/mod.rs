@@ -1,5 +1,6 @@
 //! `ksim dataset`: what is on this machine, and what a dataset holds.
 
+mod collect;
 mod download;
 #[cfg(feature = "mcap")]
 mod inspect;
@@ -33,7 +34,7 @@ ksim dataset list --known                          shows what is published
 Any file can also be given by its path.
 ";
 
-/// Show which datasets are there and what they hold
+/// Show which datasets are there and what they hold, fetch and collect more
 #[derive(Debug, Clone, Args)]
 pub(crate) struct DatasetArgs {
     #[command(subcommand)]
@@ -65,6 +66,7 @@ enum DatasetCommand {
     Inspect(Box<inspect::InspectArgs>),
     Validate(Box<validate::ValidateArgs>),
     Download(download::DownloadArgs),
+    Collect(Box<collect::CollectArgs>),
 }
 
 /// Runs the subcommand.
@@ -86,6 +88,7 @@ pub(crate) fn run(args: &DatasetArgs, context: &Context) -> Result<CommandOutcom
         DatasetCommand::Inspect(args) => inspect::run(args, context),
         DatasetCommand::Validate(args) => validate::run(args, context),
         DatasetCommand::Download(args) => download::run(args, context),
+        DatasetCommand::Collect(args) => collect::run(args, context),
     }
 }
 

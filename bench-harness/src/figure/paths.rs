@@ -1,0 +1,296 @@
+//! Where an agent went: the maze from above, with the path of every episode.
+//!
+//! The path is colored by step or by the K-Sim of each step. Axes are in meters and equally scaled; the frame is
+//! the simulator's, with y upward.
+
+use ksim_envs::maze::Maze;
+use svg::Document;
+use svg::node::element::{Circle, Group, Rectangle};
+
+use super::panel::{self, Marker, Panel};
+use super::scale::ColorScale;
+use super::text;
+
+/// Points of a path that are drawn at most: beyond, only every second, third, … is, and the panel says so.
+const MAX_POINTS: usize = 2_000;
+/// Pixels of the longer side of a maze.
+const SIDE: f64 = 300.0;
+/// Most panels beside each other.
+const MAX_COLUMNS: usize = 4;
+
+/// One episode to draw.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EpisodePath {
+    /// What it is called, such as `episode 3`.
+    pub title: String,
+    /// What is worth knowing about it, such as its return; may be empty.
+    pub note: String,
+    /// Position before every step, and after the last where it is known; in meters.
+    pub positions_m: Vec<[f64; 2]>,
+    /// Its goals, in the order in which it had them.
+    pub goals_m: Vec<[f64; 2]>,
+    /// K-Sim of every step.
+    pub scores: Option<Vec<f64>>,
+}
+
+/// How episodes share the figure.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Layout {
+    /// A panel for every episode.
+    #[default]
+    Panels,
+    /// All episodes in one panel.
+    Together,
+}
+
+/// Why a figure cannot be drawn.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum FigureError {
+    /// Nothing to draw.
+    #[error("there are no episodes to draw")]
+    NoEpisodes,
+    /// A position or goal that is not finite.
+    #[error("{title}, step {step}: the position is not finite")]
+    NotFinite {
+        /// The episode.
+        title: String,
+        /// Row of the position, from 0.
+        step: usize,
+    },
+    /// Scores for some episodes only, or not one for every step.
+    #[error("{title} has {found} scores, expected one for each of its {expected} steps")]
+    Scores {
+        /// The episode.
+        title: String,
+        /// Steps.
+        expected: usize,
+        /// Scores.
+        found: usize,
+    },
+}
+
+/// Draws episodes in a maze, as an SVG document. With scores, paths are colored by them, else by step.
+///
+/// # Errors
+/// Nothing to draw, numbers that are not finite, or scores that do not fit the paths.
+pub fn draw(
+    heading: &str,
+    maze: &Maze,
+    episodes: &[EpisodePath],
+    layout: Layout,
+) -> Result<String, FigureError> {
+    check(episodes)?;
+    let has_scores = episodes.iter().all(|episode| episode.scores.is_some());
+    let last = episodes.iter().map(|episode| episode.positions_m.len());
+    let scale = match has_scores {
+        true => ColorScale::k_sim(),
+        false => ColorScale::steps(last.max().unwrap_or(0).saturating_sub(2)),
+    };
+    let panels: Vec<Panel<'_>> = match layout {
+        Layout::Panels => episodes.iter().map(Panel::of).collect(),
+        Layout::Together => vec![Panel::together(episodes)],
+    };
+    let frame = panel::Frame::new(maze, SIDE);
+    let n_columns = columns(panels.len());
+    let size = frame.size();
+    let mut figure = Group::new();
+    for (place, panel) in panels.iter().enumerate() {
+        let [column, row] = [place % n_columns, place / n_columns].map(|n| n as f64);
+        let at = format!("translate({} {})", column * size[0], HEAD + row * size[1]);
+        figure = figure.add(panel.draw(&frame, &scale).set("transform", at));
+    }
+    let [width, height] = [
+        n_columns as f64 * size[0],
+        panels.len().div_ceil(n_columns) as f64 * size[1],
+    ];
+    let bar = scale.bar(width + 4.0, HEAD + frame.bottom(), frame.height());
+    let whole = [width.max(MIN_WIDTH) + BAR, HEAD + height + FOOT];
+    let document = Document::new()
+        .set("width", super::px(whole[0]))
+        .set("height", super::px(whole[1]))
+        .set("viewBox", (0, 0, super::px(whole[0]), super::px(whole[1])))
+        .set("font-family", "sans-serif")
+        .add(background(whole))
+        .add(text(heading, [10.0, 20.0], 14.0, "start"))
+        .add(figure)
+        .add(bar)
+        .add(legend(HEAD + height + 14.0));
+    Ok(format!("{document}\n"))
+}
+
+/// Pixels above the panels, below them, and right of them.
+const HEAD: f64 = 28.0;
+const FOOT: f64 = 26.0;
+const BAR: f64 = 66.0;
+/// Room for the legend.
+const MIN_WIDTH: f64 = 260.0;
+
+/// Every how many-th point is drawn.
+pub(super) fn stride(n_points: usize) -> usize {
+    n_points.div_ceil(MAX_POINTS).max(1)
+}
+
+fn check(episodes: &[EpisodePath]) -> Result<(), FigureError> {
+    let has_scores = episodes.iter().any(|episode| episode.scores.is_some());
+    for episode in episodes {
+        let mut points = episode.positions_m.iter().chain(&episode.goals_m);
+        if let Some(step) = points.position(|point| !point.iter().all(|m| m.is_finite())) {
+            let title = episode.title.clone();
+            return Err(FigureError::NotFinite { title, step });
+        }
+        let n_points = episode.positions_m.len();
+        let found = episode.scores.as_ref().map_or(0, Vec::len);
+        // A path without its final position has a score more than it has segments.
+        if has_scores && found != n_points && found + 1 != n_points {
+            return Err(FigureError::Scores {
+                title: episode.title.clone(),
+                expected: n_points.saturating_sub(1),
+                found,
+            });
+        }
+    }
+    match episodes
+        .iter()
+        .any(|episode| !episode.positions_m.is_empty())
+    {
+        true => Ok(()),
+        false => Err(FigureError::NoEpisodes),
+    }
+}
+
+/// Panels beside each other: near a square.
+fn columns(n_panels: usize) -> usize {
+    (1..MAX_COLUMNS)
+        .find(|n| n * n >= n_panels)
+        .unwrap_or(MAX_COLUMNS)
+}
+
+fn background([width, height]: [f64; 2]) -> Rectangle {
+    Rectangle::new()
+        .set("width", super::px(width))
+        .set("height", super::px(height))
+        .set("fill", "#fff")
+}
+
+/// What the markers mean, below the panels.
+fn legend(y: f64) -> Group {
+    let entries = [
+        (Marker::Start, "start"),
+        (Marker::End, "end"),
+        (Marker::Goal, "goal"),
+    ];
+    let mut group = Group::new();
+    let mut x = 16.0;
+    for (marker, name) in entries {
+        group = group
+            .add(marker.draw([x, y - 4.0]))
+            .add(text(name, [x + 11.0, y], 11.0, "start"));
+        x += 64.0;
+    }
+    group
+}
+
+/// A disc, for markers and walls' corners alike.
+pub(super) fn disc([x, y]: [f64; 2], radius: f64) -> Circle {
+    Circle::new()
+        .set("cx", super::px(x))
+        .set("cy", super::px(y))
+        .set("r", radius)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn maze() -> Maze {
+        Maze::published("UMaze").expect("a published name")
+    }
+
+    fn episode(n_points: usize) -> EpisodePath {
+        let at = |i: usize| {
+            let angle = i as f64 / n_points as f64 * 3.0;
+            [4.0 * angle.sin(), 4.0 * angle.cos()]
+        };
+        EpisodePath {
+            title: "episode 0".to_owned(),
+            note: "return 1".to_owned(),
+            positions_m: (0..n_points).map(at).collect(),
+            goals_m: vec![[-4.0, -4.0]],
+            scores: None,
+        }
+    }
+
+    #[test]
+    fn names_are_text_and_no_markup() {
+        let mut one = episode(3);
+        one.title = "<script>&\u{7}".to_owned();
+        let svg = draw("a<b", &maze(), &[one], Layout::Panels).unwrap();
+        assert!(svg.contains("&lt;script&gt;&amp;\u{fffd}"), "{svg}");
+        assert!(svg.contains("a&lt;b") && !svg.contains("<script"));
+    }
+
+    #[test]
+    fn the_same_data_gives_the_same_bytes_and_each_episode_its_panel() {
+        let episodes = vec![episode(50); 5];
+        let panels = draw("", &maze(), &episodes, Layout::Panels).unwrap();
+        assert_eq!(
+            panels,
+            draw("", &maze(), &episodes, Layout::Panels).unwrap()
+        );
+        assert_eq!(panels.matches("x (m)").count(), 5);
+        let together = draw("", &maze(), &episodes, Layout::Together).unwrap();
+        assert_eq!(together.matches("x (m)").count(), 1);
+        assert!(together.contains("5 episodes"));
+    }
+
+    #[test]
+    fn the_frame_is_the_simulators() {
+        // The center of the maze, and the center of its upper left cell.
+        let mut one = episode(2);
+        one.positions_m = vec![[0.0, 0.0], [-8.0, 8.0]];
+        let svg = draw("", &maze(), &[one], Layout::Panels).unwrap();
+        assert!(svg.contains("M194.00 184.00L74.00 64.00"), "{svg}");
+    }
+
+    #[test]
+    fn a_long_path_says_that_it_is_thinned_and_keeps_its_ends() {
+        let short = draw("", &maze(), &[episode(2_000)], Layout::Panels).unwrap();
+        assert!(!short.contains("steps drawn"));
+        let long = draw("", &maze(), &[episode(6_500)], Layout::Panels).unwrap();
+        assert!(long.contains("return 1; 1 of 4 steps drawn"));
+        assert!(long.len() < 2 * short.len());
+    }
+
+    #[test]
+    fn scores_color_the_path_and_must_fit_it() {
+        let mut one = episode(3);
+        let by_step = draw("", &maze(), &[one.clone()], Layout::Panels).unwrap();
+        one.scores = Some(vec![0.1, 1.0]);
+        let by_score = draw("", &maze(), &[one.clone()], Layout::Panels).unwrap();
+        assert!(
+            by_step.contains(">\nstep\n<") || by_step.contains(">step<"),
+            "{by_step}"
+        );
+        assert!(by_score.contains("K-Sim of the step"));
+        assert!(by_score.contains(&ColorScale::k_sim().color(63)));
+        one.scores = Some(vec![0.1]);
+        let error = draw("", &maze(), &[one], Layout::Panels).unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("1 scores, expected one for each of its 2"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_is_an_error() {
+        let none: Result<_, _> = draw("", &maze(), &[], Layout::Panels);
+        assert_eq!(none, Err(FigureError::NoEpisodes));
+        let mut one = episode(3);
+        one.positions_m[1][0] = f64::NAN;
+        let error = draw("", &maze(), &[one], Layout::Panels).unwrap_err();
+        assert!(matches!(error, FigureError::NotFinite { step: 1, .. }));
+    }
+}

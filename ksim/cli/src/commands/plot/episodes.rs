@@ -1,0 +1,185 @@
+//! Positions and goals of episodes.
+
+use anyhow::{Context as _, Result, bail};
+use arrow::array::{Array, AsArray, RecordBatch};
+use arrow::datatypes::{DataType, Float64Type, Int64Type};
+use ksim_bench_harness::figure::paths::EpisodePath;
+use ksim_datasets::{DatasetSource, EpisodeRecord, Scan, schema};
+
+/// Where positions are looked for: the first that is there. Of a simulator's state, the first two are x and y.
+const POSITIONS: [&str; 2] = ["observation.achieved_goal", "info.qpos"];
+/// Where goals are.
+const GOALS: [&str; 2] = ["observation.desired_goal", "info.goal"];
+
+/// Reads the paths of some episodes.
+///
+/// # Errors
+/// The columns are missing or no positions.
+pub(super) fn read(
+    source: &dyn DatasetSource,
+    chosen: &[EpisodeRecord],
+) -> Result<Vec<EpisodePath>> {
+    let columns = source.schema();
+    let find = |names: &[&'static str]| {
+        let mut names = names.iter().copied();
+        names.find(|name| columns.field_with_name(name).is_ok())
+    };
+    let Some(position) = find(&POSITIONS) else {
+        let names: Vec<&str> = columns
+            .fields()
+            .iter()
+            .map(|field| field.name().as_str())
+            .collect();
+        bail!(
+            "{}: no positions: expected column {}, found {}",
+            source.info().path.display(),
+            POSITIONS.join(" or "),
+            names.join(", ")
+        );
+    };
+    let goal = find(&GOALS);
+    let success = find(&[schema::INFO_SUCCESS]);
+    let wanted = [Some(schema::EPISODE_INDEX), Some(position), goal, success];
+    let scan = Scan {
+        columns: Some(wanted.into_iter().flatten().map(str::to_owned).collect()),
+        episodes: Some(chosen.iter().map(|episode| episode.episode_index).collect()),
+        ..Scan::default()
+    };
+    let mut open: Vec<Open> = chosen.iter().map(Open::new).collect();
+    let mut place = 0;
+    for batch in source.scan(&scan)? {
+        let batch = batch?;
+        let rows = Rows::of(&batch, position, goal, success)?;
+        let numbers = batch
+            .column_by_name(schema::EPISODE_INDEX)
+            .context("a batch without episode numbers")?
+            .as_primitive::<Int64Type>();
+        for row in 0..batch.num_rows() {
+            while open
+                .get(place)
+                .is_some_and(|open| open.number != numbers.value(row))
+            {
+                place += 1;
+            }
+            let episode = open.get_mut(place).context("episodes out of their order")?;
+            episode.add(&rows, row);
+        }
+    }
+    Ok(open
+        .into_iter()
+        .zip(chosen)
+        .map(|(open, record)| open.close(record))
+        .collect())
+}
+
+/// The columns of a batch.
+struct Rows {
+    positions: Vec<[f64; 2]>,
+    goals: Option<Vec<[f64; 2]>>,
+    successes: Option<Vec<bool>>,
+}
+
+impl Rows {
+    fn of(
+        batch: &RecordBatch,
+        position: &str,
+        goal: Option<&str>,
+        success: Option<&str>,
+    ) -> Result<Self> {
+        let flags = |name| -> Result<Vec<bool>> {
+            let column = batch.column_by_name(name).context("a column vanished")?;
+            let flat = match column.as_fixed_size_list_opt() {
+                Some(list) => list.values(),
+                None => column,
+            };
+            let flags = arrow::compute::cast(flat, &DataType::Boolean)?;
+            Ok(flags
+                .as_boolean()
+                .iter()
+                .map(|flag| flag == Some(true))
+                .collect())
+        };
+        Ok(Self {
+            positions: points(batch, position)?,
+            goals: goal.map(|name| points(batch, name)).transpose()?,
+            successes: success.map(flags).transpose()?,
+        })
+    }
+}
+
+/// The first two numbers of every row; what is null is NaN.
+fn points(batch: &RecordBatch, name: &str) -> Result<Vec<[f64; 2]>> {
+    let column = batch.column_by_name(name).context("a column vanished")?;
+    let list = column.as_fixed_size_list_opt();
+    let Some(list) = list.filter(|list| list.value_length() >= 2) else {
+        bail!(
+            "column \"{name}\" holds {}, expected lists of two numbers or more",
+            column.data_type()
+        );
+    };
+    let values = arrow::compute::cast(list.values(), &DataType::Float64)?;
+    let values = values.as_primitive::<Float64Type>();
+    let one = |row: usize| {
+        let start = usize::try_from(list.value_offset(row)).unwrap_or(0);
+        match list.is_valid(row) {
+            true => [values.value(start), values.value(start + 1)],
+            false => [f64::NAN; 2],
+        }
+    };
+    Ok((0..list.len()).map(one).collect())
+}
+
+/// An episode that is being read.
+struct Open {
+    number: i64,
+    path: EpisodePath,
+    n_rows: usize,
+    first_success: Option<usize>,
+}
+
+impl Open {
+    fn new(record: &EpisodeRecord) -> Self {
+        Self {
+            number: record.episode_index,
+            path: EpisodePath {
+                title: format!("episode {}", record.episode_index),
+                note: String::new(),
+                positions_m: Vec::new(),
+                goals_m: Vec::new(),
+                scores: None,
+            },
+            n_rows: 0,
+            first_success: None,
+        }
+    }
+
+    fn add(&mut self, rows: &Rows, row: usize) {
+        self.path.positions_m.extend(rows.positions.get(row));
+        let goal = rows.goals.as_ref().and_then(|goals| goals.get(row));
+        if let Some(goal) = goal
+            && self.path.goals_m.last() != Some(goal)
+        {
+            self.path.goals_m.push(*goal);
+        }
+        let successes = rows.successes.as_ref().and_then(|flags| flags.get(row));
+        if successes == Some(&true) && self.first_success.is_none() {
+            self.first_success = Some(self.n_rows);
+        }
+        self.n_rows += 1;
+    }
+
+    fn close(mut self, record: &EpisodeRecord) -> EpisodePath {
+        let total = record
+            .total_return
+            .map(|total| format!("return {}", crate::table::number(total)));
+        // A row's flag says what the step before it led to, where the reset has a flag of its own.
+        let success = match (record.success, self.first_success) {
+            (Some(true), Some(step)) => Some(format!("success at step {step}")),
+            (Some(false), _) => Some("no success".to_owned()),
+            _ => None,
+        };
+        let notes: Vec<String> = [total, success].into_iter().flatten().collect();
+        self.path.note = notes.join(", ");
+        self.path
+    }
+}

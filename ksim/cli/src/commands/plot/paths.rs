@@ -1,0 +1,190 @@
+//! `ksim plot paths`: the way of an agent through a maze.
+
+use std::io::Write as _;
+use std::ops::Range;
+use std::path::PathBuf;
+
+use anyhow::{Context as _, Result, bail};
+use clap::{Args, ValueEnum};
+use ksim_bench_harness::figure::paths::{EpisodePath, Layout, draw};
+use ksim_datasets::{DatasetInfo, EpisodeRecord};
+use ksim_envs::maze::Maze;
+use ksim_envs::registry::{self, EnvironmentRequest};
+
+use super::episodes::read;
+use super::step_scores::StepScores;
+use crate::atomic::{self, AtomicFile};
+use crate::commands::convert::episode_range;
+use crate::context::Context;
+use crate::data_args::{self, DataArgs};
+use crate::outcome::CommandOutcome;
+use crate::rollout_args::of_dataset;
+
+/// Episodes that are drawn where none are chosen, at most.
+const MAX_EPISODES: usize = 12;
+
+/// Draw the paths of episodes in their maze
+///
+/// Paths are colored by step, or by the K-Sim of each step if --per-step gives what `ksim score --per-step` wrote.
+/// Rollouts of ksim and Minari datasets know their maze; for other files say --env or --dataset.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct PathsArgs {
+    /// Rollouts, or any dataset with positions in observation.achieved_goal or info.qpos
+    #[arg(value_name = "ROLLOUTS")]
+    rollouts: String,
+    /// The figure to write
+    #[arg(short, long, value_name = "FILE.svg")]
+    output: PathBuf,
+    /// Episodes to draw: numbers, 3-7 with both ends, 3..8 without the last [default: the first 12]
+    #[arg(long, value_name = "0,3-7", value_delimiter = ',', value_parser = episodes)]
+    episodes: Vec<Range<i64>>,
+    /// A panel for every episode, or all in one
+    #[arg(long, value_enum, default_value_t = LayoutArg::Panels)]
+    layout: LayoutArg,
+    /// Color by these scores
+    #[arg(long, value_name = "FILE.parquet")]
+    per_step: Option<PathBuf>,
+    /// The maze of this environment
+    #[arg(long, value_name = "ID", conflicts_with = "dataset")]
+    env: Option<String>,
+    /// The maze that this dataset was collected in
+    #[arg(long, value_name = "NAME|PATH")]
+    dataset: Option<String>,
+    #[command(flatten)]
+    data: DataArgs,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum LayoutArg {
+    Panels,
+    Together,
+}
+
+impl From<LayoutArg> for Layout {
+    fn from(layout: LayoutArg) -> Self {
+        match layout {
+            LayoutArg::Panels => Self::Panels,
+            LayoutArg::Together => Self::Together,
+        }
+    }
+}
+
+/// Numbers, and ranges in both spellings.
+fn episodes(text: &str) -> Result<Range<i64>> {
+    match text.split_once('-') {
+        Some((first, last)) if !first.is_empty() => {
+            let one = |text: &str| text.parse::<i64>().with_context(|| format!("\"{text}\""));
+            let (first, last) = (one(first)?, one(last)?);
+            if first > last {
+                bail!("an empty range");
+            }
+            Ok(first..last.checked_add(1).context("too large")?)
+        }
+        _ => episode_range(text),
+    }
+}
+
+/// Draws and writes.
+pub(super) fn run(args: &PathsArgs, context: &Context) -> Result<CommandOutcome> {
+    atomic::check_target(&args.output)?;
+    let (resolved, source) = data_args::open(&args.rollouts, &args.data.open_options())?;
+    let inputs = [Some(resolved.path.as_path()), args.per_step.as_deref()];
+    atomic::check_not_an_input(&args.output, inputs.into_iter().flatten())?;
+    let info = source.info();
+    let maze = maze(args, info)?;
+    let all = source.episodes()?;
+    let n_all = all.len();
+    let chosen = choose(all, &args.episodes)?;
+    let mut heading = heading(info);
+    if chosen.len() < n_all && args.episodes.is_empty() {
+        let first = format!("the first {} of {n_all} episodes", chosen.len());
+        context.warn(&format!("{first} are drawn; --episodes chooses others"));
+        heading = format!("{heading}: {first}");
+    }
+    let mut paths: Vec<EpisodePath> = read(&*source, &chosen)?;
+    if let Some(file) = &args.per_step {
+        let scores = StepScores::read(file)?;
+        for (path, episode) in paths.iter_mut().zip(&chosen) {
+            path.scores = Some(scores.of(episode.episode_index, file)?);
+        }
+    }
+    let svg = draw(&heading, &maze, &paths, args.layout.into())
+        .with_context(|| info.path.display().to_string())?;
+    let mut file = AtomicFile::create(&args.output)?;
+    let written = file.write_all(svg.as_bytes());
+    written.with_context(|| format!("cannot write {}", args.output.display()))?;
+    file.publish()?;
+    Ok(CommandOutcome::of([info]))
+}
+
+/// What the figure shows, as far as the file says.
+fn heading(info: &DatasetInfo) -> String {
+    match info
+        .metadata
+        .get("policy")
+        .and_then(|policy| policy.as_str())
+    {
+        Some(policy) => format!("{} in {}", policy, info.id),
+        None => info.id.clone(),
+    }
+}
+
+/// The episodes asked for, in the order of the file; the first few if none are.
+fn choose(all: Vec<EpisodeRecord>, wanted: &[Range<i64>]) -> Result<Vec<EpisodeRecord>> {
+    if wanted.is_empty() {
+        return Ok(all.into_iter().take(MAX_EPISODES).collect());
+    }
+    for range in wanted {
+        if !all
+            .iter()
+            .any(|episode| range.contains(&episode.episode_index))
+        {
+            bail!(
+                "no episode in {}..{}; there are {}",
+                range.start,
+                range.end,
+                all.len()
+            );
+        }
+    }
+    let is_wanted = |episode: &EpisodeRecord| {
+        wanted
+            .iter()
+            .any(|range| range.contains(&episode.episode_index))
+    };
+    Ok(all.into_iter().filter(is_wanted).collect())
+}
+
+fn maze(args: &PathsArgs, info: &DatasetInfo) -> Result<Maze> {
+    let request = match (&args.env, &args.dataset) {
+        (Some(id), _) => EnvironmentRequest::of_id(id),
+        (None, Some(name)) => of_dataset(name)?.request,
+        (None, None) => {
+            let found = registry::for_dataset(info);
+            found
+                .context("the maze is not known: say --env ID or --dataset NAME")?
+                .request
+        }
+    };
+    let known = registry::find(&request.id)?;
+    let map = request
+        .kwargs
+        .get("maze_map")
+        .or_else(|| known.kwargs.get("maze_map"));
+    let map = map.with_context(|| format!("environment `{}` has no maze", known.id))?;
+    Ok(Maze::from_json(map)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_written_both_ways() {
+        assert_eq!(episodes("3-7").unwrap(), episodes("3..8").unwrap());
+        assert_eq!(episodes("4").unwrap(), 4..5);
+        for wrong in ["7-3", "3-", "-", "a-b", "3..3"] {
+            assert!(episodes(wrong).is_err(), "{wrong}");
+        }
+    }
+}
