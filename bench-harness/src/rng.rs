@@ -11,6 +11,7 @@ pub(crate) enum Purpose {
     PolicySample = 2,
     ActionNoise = 3,
     Bootstrap = 4,
+    Recovery = 5,
 }
 
 /// A seeded stream of numbers.

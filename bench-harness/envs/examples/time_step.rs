@@ -46,7 +46,10 @@ fn print(seconds: f64, total: f64) {
     println!("{seconds} {total}");
 }
 
-fn run(environments: &mut VectorEnvironment, n_steps: usize) -> Result<f64, Box<dyn Error + Send + Sync>> {
+fn run(
+    environments: &mut VectorEnvironment,
+    n_steps: usize,
+) -> Result<f64, Box<dyn Error + Send + Sync>> {
     let options = ResetOptions::default();
     let slots: Vec<usize> = (0..environments.len()).collect();
     let width = environments.len() * environments.spec().action_dim();

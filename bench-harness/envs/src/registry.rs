@@ -12,7 +12,9 @@ mod suggest;
 use serde_json::{Map, Value};
 
 use crate::environment::Environment;
+use crate::environment::EnvironmentSpec;
 use crate::error::EnvironmentError;
+use crate::maze::Maze;
 use crate::toy;
 
 pub use dataset::{DatasetEnvironment, for_d4rl, for_dataset, for_minari_spec};
@@ -38,6 +40,13 @@ impl EnvironmentRequest {
             ..Self::default()
         }
     }
+}
+
+/// The maze of an environment: its own, or that of its id. `None` for environments without one.
+pub fn maze_of(spec: &EnvironmentSpec) -> Option<Maze> {
+    let registered = find(&spec.id).ok()?.kwargs;
+    let map = spec.kwargs.get("maze_map").or(registered.get("maze_map"))?;
+    Maze::from_json(map).ok()
 }
 
 /// Makes an environment.

@@ -80,6 +80,16 @@ pub enum PolicyError {
         /// Numbers that the environment gives or takes.
         environment_dim: usize,
     },
+    /// A policy for another kind of environment.
+    #[error(
+        "policy `{policy}` drives an ant through a maze, and environment `{environment}` is none"
+    )]
+    NoMaze {
+        /// The policy.
+        policy: String,
+        /// The environment.
+        environment: String,
+    },
     /// A recording that cannot be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),

@@ -10,6 +10,7 @@ mod noise;
 mod random;
 mod replay;
 mod spec;
+mod waypoint;
 mod zero;
 
 use std::num::NonZeroUsize;
@@ -19,6 +20,7 @@ pub use mlp::{Mlp, MlpOptions};
 pub use random::Random;
 pub use replay::Replay;
 pub use spec::{KINDS, PolicySpec};
+pub use waypoint::Waypoint;
 pub use zero::Zero;
 
 use ksim_envs::EnvironmentSpec;
@@ -86,6 +88,9 @@ pub fn build(
             };
             Box::new(Mlp::open(name, file, options, environment)?)
         }
-        PolicySpec::Waypoint { .. } => return Err(PolicyError::UnknownKind { found: name }),
+        PolicySpec::Waypoint { far, near, noise } => {
+            let near = near.as_deref().unwrap_or(far);
+            Box::new(Waypoint::open(name, [far, near], *noise, environment)?)
+        }
     })
 }

@@ -55,7 +55,7 @@ pub enum PolicySpec {
         /// Standard deviation of the noise added to actions.
         noise: f64,
     },
-    /// `super::Waypoint`.
+    /// [`super::Waypoint`].
     Waypoint {
         /// Safetensors file of the network that runs between waypoints.
         far: PathBuf,
