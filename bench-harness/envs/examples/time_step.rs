@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use ksim_envs::numpy_rng::Generator;
 use ksim_envs::registry::{EnvironmentRequest, make};
-use ksim_envs::vector::VectorEnvironment;
+use ksim_envs::vector::{VectorEnvironment, VectorError};
 use ksim_envs::{Environment, EnvironmentError, ResetOptions};
 
 /// Steps whose actions are kept; they repeat after that.
@@ -46,10 +46,7 @@ fn print(seconds: f64, total: f64) {
     println!("{seconds} {total}");
 }
 
-fn run(
-    environments: &mut VectorEnvironment,
-    n_steps: usize,
-) -> Result<f64, Box<dyn Error + Send + Sync>> {
+fn run(environments: &mut VectorEnvironment, n_steps: usize) -> Result<f64, VectorError> {
     let options = ResetOptions::default();
     let slots: Vec<usize> = (0..environments.len()).collect();
     let width = environments.len() * environments.spec().action_dim();
