@@ -15,7 +15,7 @@ struct Rule {
     is_library: bool,
 }
 
-const RULES: [Rule; 6] = [
+const RULES: [Rule; 7] = [
     Rule {
         package: "ksim",
         may: &[],
@@ -38,6 +38,12 @@ const RULES: [Rule; 6] = [
         is_library: true,
     },
     Rule {
+        package: "ksim-planners",
+        may: &["ksim", "ksim-datasets"],
+        never: &["mujoco*", "clap*", "anyhow"],
+        is_library: true,
+    },
+    Rule {
         package: "ksim-envs",
         may: &["ksim-datasets"],
         never: &["tch", "torch-sys", "clap*", "anyhow"],
@@ -45,13 +51,19 @@ const RULES: [Rule; 6] = [
     },
     Rule {
         package: "ksim-bench-harness",
-        may: &["ksim", "ksim-datasets", "ksim-envs"],
+        may: &["ksim", "ksim-datasets", "ksim-envs", "ksim-planners"],
         never: &["clap*", "anyhow"],
         is_library: true,
     },
     Rule {
         package: "ksim-cli",
-        may: &["ksim", "ksim-bench-harness", "ksim-datasets", "ksim-envs"],
+        may: &[
+            "ksim",
+            "ksim-bench-harness",
+            "ksim-datasets",
+            "ksim-envs",
+            "ksim-planners",
+        ],
         never: &[],
         is_library: false,
     },
