@@ -1,5 +1,7 @@
 //! What can go wrong.
 
+use std::path::{Path, PathBuf};
+
 /// A planner or one of its networks cannot do what was asked.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -40,4 +42,135 @@ pub enum PlannerError {
         /// What was asked for.
         found: String,
     },
+    /// A second family of the same id.
+    #[error("there is a planner \"{id}\" already")]
+    DuplicateFamily {
+        /// The id.
+        id: &'static str,
+    },
+    /// A family that this build does not have.
+    #[error("there is no planner \"{id}\"; this build has {}", known.join(", "))]
+    UnknownFamily {
+        /// The id that was asked for.
+        id: String,
+        /// The ids there are.
+        known: Vec<String>,
+    },
+    /// A preset that the family does not have.
+    #[error("{family} has no preset \"{name}\"; there are {}", known.join(", "))]
+    UnknownPreset {
+        /// Id of the family.
+        family: &'static str,
+        /// The name that was asked for.
+        name: String,
+        /// The names there are.
+        known: Vec<&'static str>,
+    },
+    /// A setting that the configuration does not have.
+    #[error("there is no setting \"{name}\"; here are {}", known.join(", "))]
+    UnknownSetting {
+        /// Its name, with the tables it stands in.
+        name: String,
+        /// The settings of the innermost table.
+        known: Vec<String>,
+    },
+    /// A setting whose value is impossible.
+    #[error("setting \"{name}\" is {found}, expected {expected}")]
+    Setting {
+        /// Its name, with the tables it stands in.
+        name: String,
+        /// What is possible.
+        expected: String,
+        /// What was found.
+        found: String,
+    },
+    /// A backend or device that this build does not have.
+    #[error("there is no {what} \"{name}\"; this build has {}", known.join(", "))]
+    UnknownBackend {
+        /// `backend` or `device`.
+        what: &'static str,
+        /// The name that was asked for.
+        name: String,
+        /// The names there are.
+        known: Vec<&'static str>,
+    },
+    /// A dataset could not be read.
+    #[error(transparent)]
+    Dataset(#[from] ksim_datasets::DatasetError),
+    /// A dataset that does not fit what is to be trained on it.
+    #[error("the dataset does not fit: {what} is {found}, expected {expected}")]
+    DatasetFit {
+        /// Which property.
+        what: &'static str,
+        /// What is asked for.
+        expected: String,
+        /// What the dataset has.
+        found: String,
+    },
+    /// A file could not be read or written.
+    #[error("{}: cannot {action}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What was tried.
+        action: &'static str,
+        /// Why it failed.
+        source: std::io::Error,
+    },
+    /// A file that is no safetensors file, or a damaged one.
+    #[error("{}: damaged or no safetensors file: {source}", path.display())]
+    Safetensors {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: safetensors::SafeTensorError,
+    },
+    /// A file of a run whose text is not what it ought to be.
+    #[error("{}: {source}", path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: serde_json::Error,
+    },
+    /// A file of another run, family, preset or version.
+    #[error("{}: {what} is {found}, expected {expected}", path.display())]
+    Mismatch {
+        /// The file.
+        path: PathBuf,
+        /// Which property.
+        what: String,
+        /// What is asked for.
+        expected: String,
+        /// What the file has.
+        found: String,
+    },
+    /// A loss or a plan that is no finite number any more.
+    #[error("{what} is not finite {place}{}", kept(checkpoint.as_deref()))]
+    NotFinite {
+        /// Which number.
+        what: String,
+        /// Where it happened, such as `in update 1200`.
+        place: String,
+        /// The last good checkpoint, if there is one.
+        checkpoint: Option<PathBuf>,
+    },
+    /// A request that does not fit the planner.
+    #[error("{what} is {found}, expected {expected}")]
+    Request {
+        /// Which part of the request.
+        what: &'static str,
+        /// What is possible.
+        expected: String,
+        /// What was asked for.
+        found: String,
+    },
+}
+
+/// The end of a message about numbers that are not finite.
+fn kept(checkpoint: Option<&Path>) -> String {
+    match checkpoint {
+        Some(path) => format!("; the checkpoint before it is kept in {}", path.display()),
+        None => String::new(),
+    }
 }
