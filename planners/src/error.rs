@@ -32,6 +32,30 @@ pub enum PlannerError {
         /// Shape that was found.
         found: Vec<usize>,
     },
+    /// A tensor that the network does not have.
+    #[error("tensor \"{name}\" is not known to the network")]
+    UnknownTensor {
+        /// Its name.
+        name: String,
+    },
+    /// A weight that is infinite or not a number.
+    #[error("number {index} of tensor \"{name}\" is {found}, expected a finite number")]
+    WeightNotFinite {
+        /// The tensor's name.
+        name: String,
+        /// Which number, counted from 0.
+        index: usize,
+        /// What it is.
+        found: f32,
+    },
+    /// A gradient or an update was asked for out of order.
+    #[error("{asked} was asked for, but there was no {missing} before")]
+    Order {
+        /// What was asked for.
+        asked: &'static str,
+        /// What has to come first.
+        missing: &'static str,
+    },
     /// A network that cannot be built.
     #[error("{what} is {found}, expected {expected}")]
     Architecture {

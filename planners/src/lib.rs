@@ -2,10 +2,12 @@
 //!
 //! Module map: [`planner`] is what every planner is, [`family`] how one is trained and
 //! loaded, [`registry`] which there are; [`nets`] describes the networks of the diffusion planners and
-//! the small interface behind which a backend computes them.
+//! the small interface behind which a backend computes them, [`native`] is one by our own kernels.
 
 pub mod error;
 pub mod family;
+#[cfg(feature = "native")]
+pub mod native;
 pub mod nets;
 pub mod planner;
 pub mod registry;

@@ -6,11 +6,18 @@
 //! computes of both.
 
 mod architecture;
+mod embedding;
+mod init;
+mod levels;
+mod tensors;
 mod weights;
 
 pub use architecture::{
     Architecture, HalfJannerConfig, JannerConfig, MlpConfig, TimestepEmbedding,
 };
+pub use init::initial_weights;
+pub use levels::n_groups;
+pub use tensors::{TensorRole, TensorSpec};
 pub use weights::{Tensor, Weights};
 
 use crate::error::PlannerError;

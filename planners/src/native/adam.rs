@@ -1,0 +1,119 @@
+//! Adam and AdamW, and the moving average of the weights, in one pass over the parameters.
+
+use pulp::Arch;
+use rayon::prelude::*;
+
+use crate::nets::Adam;
+
+/// Parameters that a thread takes at a time.
+const BLOCK: usize = 1 << 14;
+
+/// Everything that an update changes; laid out alike.
+pub(super) struct Updated<'a> {
+    pub(super) parameters: &'a mut [f32],
+    pub(super) ema: &'a mut [f32],
+    pub(super) first_moment: &'a mut [f32],
+    pub(super) second_moment: &'a mut [f32],
+}
+
+/// Factors of one update, as PyTorch has them.
+#[derive(Clone, Copy)]
+struct Factors {
+    beta1: f32,
+    one_minus_beta1: f32,
+    beta2: f32,
+    one_minus_beta2: f32,
+    epsilon: f32,
+    /// learning rate / (1 − β1ⁿ)
+    step: f32,
+    /// √(1 − β2ⁿ)
+    root_correction: f32,
+    /// Decay within the gradient.
+    l2: f32,
+    /// What is left of the weights after decoupled decay.
+    left: f32,
+    ema: f32,
+    one_minus_ema: f32,
+}
+
+impl Factors {
+    fn new(adam: &Adam, learning_rate: f64, n: u64) -> Self {
+        let n = n as f64;
+        let (l2, left) = if adam.decoupled {
+            (0.0, 1.0 - learning_rate * adam.weight_decay)
+        } else {
+            (adam.weight_decay, 1.0)
+        };
+        Self {
+            beta1: adam.beta1 as f32,
+            one_minus_beta1: (1.0 - adam.beta1) as f32,
+            beta2: adam.beta2 as f32,
+            one_minus_beta2: (1.0 - adam.beta2) as f32,
+            epsilon: adam.epsilon as f32,
+            step: (learning_rate / (1.0 - adam.beta1.powf(n))) as f32,
+            root_correction: (1.0 - adam.beta2.powf(n)).sqrt() as f32,
+            l2: l2 as f32,
+            left: left as f32,
+            ema: adam.ema_rate as f32,
+            one_minus_ema: (1.0 - adam.ema_rate) as f32,
+        }
+    }
+}
+
+/// Update number `n`, counted from 1.
+pub(super) fn update(
+    updated: Updated<'_>,
+    gradient: &[f32],
+    adam: &Adam,
+    learning_rate: f64,
+    n: u64,
+) {
+    let factors = Factors::new(adam, learning_rate, n);
+    let parameters = updated.parameters.par_chunks_mut(BLOCK);
+    let moments = (
+        updated.first_moment.par_chunks_mut(BLOCK),
+        updated.second_moment.par_chunks_mut(BLOCK),
+    );
+    let averages = updated.ema.par_chunks_mut(BLOCK);
+    let all = (
+        parameters,
+        averages,
+        moments.0,
+        moments.1,
+        gradient.par_chunks(BLOCK),
+    );
+    all.into_par_iter()
+        .for_each(|(parameters, ema, first, second, gradient)| {
+            Arch::new().dispatch(|| {
+                let moments = first.iter_mut().zip(second);
+                let weights = parameters.iter_mut().zip(ema);
+                for (((p, average), (m, v)), g) in weights.zip(moments).zip(gradient) {
+                    one(factors, *g, (p, average), (m, v));
+                }
+            });
+        });
+}
+
+#[inline(always)]
+fn one(
+    f: Factors,
+    gradient: f32,
+    (p, average): (&mut f32, &mut f32),
+    (m, v): (&mut f32, &mut f32),
+) {
+    let g = p.mul_add(f.l2, gradient);
+    *m = f.beta1.mul_add(*m, f.one_minus_beta1 * g);
+    *v = f.beta2.mul_add(*v, f.one_minus_beta2 * g * g);
+    let root = v.sqrt() / f.root_correction + f.epsilon;
+    *p = (*p * f.left) - f.step * (*m / root);
+    *average = f.ema.mul_add(*average, f.one_minus_ema * *p);
+}
+
+/// The L2 norm of a gradient, the same for any number of threads.
+pub(super) fn norm(gradient: &[f32]) -> f64 {
+    let squares: Vec<f64> = gradient
+        .par_chunks(BLOCK)
+        .map(|block| block.iter().map(|g| f64::from(*g) * f64::from(*g)).sum())
+        .collect();
+    squares.iter().sum::<f64>().sqrt()
+}

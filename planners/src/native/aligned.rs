@@ -1,0 +1,62 @@
+//! Numbers that start at a cache line, so that no vector lies across two.
+
+use std::ops::{Deref, DerefMut};
+
+const LINE_BYTES: usize = 64;
+
+/// A slice of f32 whose first number lies at the start of a cache line.
+#[derive(Debug, Default)]
+pub(super) struct Aligned {
+    numbers: Vec<f32>,
+    start: usize,
+    len: usize,
+}
+
+impl Aligned {
+    /// Zeros.
+    pub(super) fn zeros(len: usize) -> Self {
+        let slack = LINE_BYTES / size_of::<f32>();
+        let numbers = vec![0.0; len + slack];
+        // Where the offset cannot be told, the numbers are not aligned: slower, never wrong.
+        let start = numbers.as_ptr().align_offset(LINE_BYTES).min(slack);
+        Self {
+            numbers,
+            start,
+            len,
+        }
+    }
+}
+
+impl Aligned {
+    /// The most numbers that it can have.
+    pub(super) fn capacity(&self) -> usize {
+        self.numbers.len() - self.start
+    }
+
+    /// Has `len` numbers from now on, at most its capacity; whatever they are.
+    pub(super) fn set_len(&mut self, len: usize) {
+        self.len = len.min(self.capacity());
+    }
+}
+
+impl Clone for Aligned {
+    fn clone(&self) -> Self {
+        let mut copy = Self::zeros(self.len);
+        copy.copy_from_slice(self);
+        copy
+    }
+}
+
+impl Deref for Aligned {
+    type Target = [f32];
+
+    fn deref(&self) -> &[f32] {
+        &self.numbers[self.start..][..self.len]
+    }
+}
+
+impl DerefMut for Aligned {
+    fn deref_mut(&mut self) -> &mut [f32] {
+        &mut self.numbers[self.start..][..self.len]
+    }
+}

@@ -1,0 +1,217 @@
+//! The product at the heart of every layer: windows at one position times the weights of a tap, summed over taps.
+//!
+//! Activations lie as `[position][sample][channel]`, so that a convolution reads whole rows and needs no copy of its
+//! input: output row (l, n) is Σ over taps of input row (l + offset, n) times the weights of the tap. Weights lie in
+//! panels of [`PANEL`] outputs, `[panel][tap][input][PANEL]`, the last panel filled up with zeros.
+//!
+//! Every output is summed in one fixed order (its starting value, then taps and inputs as the pass lists them, one
+//! fused multiply-add each), so that it depends neither on the rows beside it nor on the number of threads.
+
+use pulp::{Arch, Simd, WithSimd};
+
+use super::geometry::{Pass, Tap};
+
+/// Outputs in a panel of weights.
+pub(super) const PANEL: usize = 16;
+
+/// Rows that are computed together at most: with two vectors each, six fill the registers of AVX2.
+const ROWS: usize = 6;
+
+/// Panels for `outputs`.
+pub(super) fn n_panels(outputs: usize) -> usize {
+    outputs.div_ceil(PANEL)
+}
+
+/// What the outputs start from.
+#[derive(Clone, Copy)]
+pub(super) enum Start<'a> {
+    /// Zero.
+    Zero,
+    /// A bias of `n_panels·PANEL` numbers.
+    Bias(&'a [f32]),
+    /// What the output holds.
+    Output,
+}
+
+/// A layer applied to some samples.
+pub(super) struct Product<'a> {
+    /// `[length][samples][inputs]`.
+    pub(super) input: &'a [f32],
+    /// Positions of the input.
+    pub(super) length: usize,
+    pub(super) samples: usize,
+    pub(super) inputs: usize,
+    pub(super) outputs: usize,
+    /// `[panel][taps][inputs][PANEL]`.
+    pub(super) weights: &'a [f32],
+    /// Taps of the weights.
+    pub(super) taps: usize,
+    pub(super) passes: &'a [Pass],
+    pub(super) start: Start<'a>,
+    /// At least `inputs` zeros: the row that taps outside of the input read.
+    pub(super) zeros: &'a [f32],
+}
+
+impl Product<'_> {
+    /// Writes all of `output`, `[positions][samples][outputs]`.
+    pub(super) fn write(&self, output: &mut [f32]) {
+        Arch::new().dispatch(Run {
+            product: self,
+            output,
+        });
+    }
+}
+
+struct Run<'a> {
+    product: &'a Product<'a>,
+    output: &'a mut [f32],
+}
+
+impl WithSimd for Run<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        // The vectors of a panel: what the compiler keeps in registers.
+        match PANEL / S::F32_LANES {
+            1 => run::<S, 1>(simd, self),
+            2 => run::<S, 2>(simd, self),
+            4 => run::<S, 4>(simd, self),
+            _ => run::<S, PANEL>(simd, self),
+        }
+    }
+}
+
+#[inline(always)]
+fn run<S: Simd, const VECTORS: usize>(simd: S, run: Run<'_>) {
+    let Run { product, output } = run;
+    let depth = product.taps * product.inputs * PANEL;
+    for (panel, weights) in product.weights.chunks_exact(depth).enumerate() {
+        for pass in product.passes {
+            let rows = pass.count * product.samples;
+            let n_tiles = rows.div_ceil(ROWS);
+            for tile in 0..n_tiles {
+                // Tiles as even as can be: no row is left over to run through the weights alone.
+                let (first, end) = (tile * rows / n_tiles, (tile + 1) * rows / n_tiles);
+                let tile = Tile {
+                    product,
+                    pass,
+                    weights,
+                    panel,
+                    first,
+                };
+                match end - first {
+                    1 => tile.run::<S, 1, VECTORS>(simd, output),
+                    2 => tile.run::<S, 2, VECTORS>(simd, output),
+                    3 => tile.run::<S, 3, VECTORS>(simd, output),
+                    4 => tile.run::<S, 4, VECTORS>(simd, output),
+                    5 => tile.run::<S, 5, VECTORS>(simd, output),
+                    _ => tile.run::<S, ROWS, VECTORS>(simd, output),
+                }
+            }
+        }
+    }
+}
+
+/// Some rows of a pass times a panel.
+struct Tile<'a> {
+    product: &'a Product<'a>,
+    pass: &'a Pass,
+    weights: &'a [f32],
+    panel: usize,
+    first: usize,
+}
+
+impl<'a> Tile<'a> {
+    #[inline(always)]
+    fn run<S: Simd, const N: usize, const VECTORS: usize>(&self, simd: S, output: &mut [f32]) {
+        let product = self.product;
+        let mut at = [(0, 0); N];
+        for (i, at) in at.iter_mut().enumerate() {
+            let row = self.first + i;
+            *at = (row / product.samples, row % product.samples);
+        }
+        let mut sums = [[simd.splat_f32s(0.0); VECTORS]; N];
+        let column = self.panel * PANEL;
+        let width = PANEL.min(product.outputs - column);
+        let starts = at.map(|(m, n)| {
+            let position = self.pass.start + m * self.pass.step;
+            (position * product.samples + n) * product.outputs + column
+        });
+        match product.start {
+            Start::Zero => {}
+            Start::Bias(bias) => {
+                let (bias, _) = S::as_simd_f32s(&bias[column..][..PANEL]);
+                let bias: [S::f32s; VECTORS] = std::array::from_fn(|v| bias[v]);
+                sums = [bias; N];
+            }
+            Start::Output => {
+                for (sums, start) in sums.iter_mut().zip(starts) {
+                    let mut row = [0.0; PANEL];
+                    row[..width].copy_from_slice(&output[start..][..width]);
+                    let (row, _) = S::as_simd_f32s(&row);
+                    *sums = std::array::from_fn(|v| row[v]);
+                }
+            }
+        }
+        for &tap in &self.pass.taps {
+            if let Some(rows) = self.rows(&at, tap) {
+                let depth = product.inputs * PANEL;
+                let weights = &self.weights[tap.weight * depth..][..depth];
+                accumulate::<S, N, VECTORS>(simd, &rows, weights, &mut sums);
+            }
+        }
+        for (sums, start) in sums.iter().zip(starts) {
+            if width == PANEL {
+                let (row, _) = S::as_mut_simd_f32s(&mut output[start..][..PANEL]);
+                row.copy_from_slice(sums);
+            } else {
+                let mut row = [0.0; PANEL];
+                S::as_mut_simd_f32s(&mut row).0.copy_from_slice(sums);
+                output[start..][..width].copy_from_slice(&row[..width]);
+            }
+        }
+    }
+
+    /// The rows that a tap reads; none if all of them lie outside of the input.
+    #[inline(always)]
+    fn rows<const N: usize>(&self, at: &[(usize, usize); N], tap: Tap) -> Option<[&'a [f32]; N]> {
+        let product = self.product;
+        let mut any = false;
+        let rows = at.map(|(m, n)| match self.pass.reads(m, tap, product.length) {
+            Some(position) => {
+                any = true;
+                let start = (position * product.samples + n) * product.inputs;
+                &product.input[start..][..product.inputs]
+            }
+            None => &product.zeros[..product.inputs],
+        });
+        any.then_some(rows)
+    }
+}
+
+/// sums\[i\] += Σ over inputs c of rows\[i\]\[c\]·weights\[c\].
+#[inline(always)]
+fn accumulate<S: Simd, const N: usize, const VECTORS: usize>(
+    simd: S,
+    rows: &[&[f32]; N],
+    weights: &[f32],
+    sums: &mut [[S::f32s; VECTORS]; N],
+) {
+    let depth = weights.len() / PANEL;
+    let (weights, _) = S::as_simd_f32s(weights);
+    let (weights, _) = weights.as_chunks::<VECTORS>();
+    let weights = &weights[..depth];
+    let rows: [&[f32]; N] = std::array::from_fn(|i| &rows[i][..depth]);
+    let mut local = *sums;
+    for c in 0..depth {
+        let weight = weights[c];
+        for i in 0..N {
+            let value = simd.splat_f32s(rows[i][c]);
+            for v in 0..VECTORS {
+                local[i][v] = simd.mul_add_f32s(value, weight[v], local[i][v]);
+            }
+        }
+    }
+    *sums = local;
+}
