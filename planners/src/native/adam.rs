@@ -117,3 +117,76 @@ pub(super) fn norm(gradient: &[f32]) -> f64 {
         .collect();
     squares.iter().sum::<f64>().sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Adam and AdamW in f64, as in the papers.
+    fn reference(adam: &Adam, learning_rate: f64, gradients: &[f64]) -> (f64, f64) {
+        let (mut p, mut average, mut m, mut v) = (0.7f64, 0.7f64, 0.0, 0.0);
+        for (index, gradient) in gradients.iter().enumerate() {
+            let n = index as i32 + 1;
+            let g = if adam.decoupled {
+                p -= learning_rate * adam.weight_decay * p;
+                *gradient
+            } else {
+                gradient + adam.weight_decay * p
+            };
+            m = adam.beta1 * m + (1.0 - adam.beta1) * g;
+            v = adam.beta2 * v + (1.0 - adam.beta2) * g * g;
+            let (m_hat, v_hat) = (
+                m / (1.0 - adam.beta1.powi(n)),
+                v / (1.0 - adam.beta2.powi(n)),
+            );
+            p -= learning_rate * m_hat / (v_hat.sqrt() + adam.epsilon);
+            average = adam.ema_rate * average + (1.0 - adam.ema_rate) * p;
+        }
+        (p, average)
+    }
+
+    #[test]
+    fn both_kinds_of_decay_are_as_in_the_papers() {
+        let gradients = [0.3, -0.1, 0.02, 0.5, -0.4];
+        let mut ends = Vec::new();
+        for decoupled in [false, true] {
+            let adam = Adam {
+                beta1: 0.9,
+                beta2: 0.999,
+                epsilon: 1e-8,
+                weight_decay: 0.5,
+                decoupled,
+                ema_rate: 0.9,
+            };
+            let mut numbers = [[0.7f32; 3], [0.7; 3], [0.0; 3], [0.0; 3]];
+            for (index, gradient) in gradients.iter().enumerate() {
+                let [parameters, ema, first_moment, second_moment] = &mut numbers;
+                let updated = Updated {
+                    parameters,
+                    ema,
+                    first_moment,
+                    second_moment,
+                };
+                update(
+                    updated,
+                    &[*gradient as f32; 3],
+                    &adam,
+                    0.01,
+                    index as u64 + 1,
+                );
+            }
+            let (p, average) = reference(&adam, 0.01, &gradients);
+            assert!((f64::from(numbers[0][1]) - p).abs() < 1e-6);
+            assert!((f64::from(numbers[1][2]) - average).abs() < 1e-6);
+            ends.push(p);
+        }
+        assert!((ends[0] - ends[1]).abs() > 1e-4, "the kinds differ here");
+    }
+
+    #[test]
+    fn the_norm_is_the_root_of_the_sum_of_squares() {
+        let gradient = vec![0.5f32; 3 * BLOCK + 4];
+        let expected = 0.5 * (gradient.len() as f64).sqrt();
+        assert!((norm(&gradient) - expected).abs() < 1e-9 * expected);
+    }
+}
