@@ -1,16 +1,28 @@
 //! Planners that stay inside their training data: one trait, one registry, several algorithms.
 //!
-//! Module map: [`planner`] is what every planner is, [`family`] how one is trained and
-//! loaded, [`registry`] which there are; [`nets`] describes the networks of the diffusion planners and
-//! the small interface behind which a backend computes them, [`native`] is one by our own kernels.
+//! Module map: [`planner`] is what every planner is, [`family`] how one is trained and loaded, [`registry`] which there
+//! are. [`algorithms`] holds the diffusion planners, a file each; they share [`config`] and its presets, [`data`] for
+//! training windows, [`diffusion`] with schedule, sampler and losses, [`training`] with checkpoints and run folders,
+//! and [`model`], the file of a trained planner. [`nets`] describes their networks and the small interface behind
+//! which a backend computes them; [`native`] is one, by our own kernels.
 
+pub mod algorithms;
+pub mod backend;
+pub mod config;
+pub mod data;
+pub mod diffusion;
 pub mod error;
 pub mod family;
+pub mod model;
 #[cfg(feature = "native")]
 pub mod native;
 pub mod nets;
 pub mod planner;
+mod presets;
 pub mod registry;
+mod rng;
+mod tensor_file;
+pub mod training;
 
 pub use error::PlannerError;
 pub use family::{

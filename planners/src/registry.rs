@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::algorithms::{CuriosityDiffuser, Diffuser, ReDiffuser};
 use crate::error::PlannerError;
 use crate::family::PlannerFamily;
 
@@ -19,7 +20,17 @@ impl Registry {
 
     /// All families of this build.
     pub fn builtin() -> Self {
-        Self::new()
+        let families: [Box<dyn PlannerFamily>; 3] = [
+            Box::new(Diffuser),
+            Box::new(ReDiffuser),
+            Box::new(CuriosityDiffuser),
+        ];
+        Self {
+            families: families
+                .into_iter()
+                .map(|family| (family.id(), family))
+                .collect(),
+        }
     }
 
     /// Adds a family.

@@ -228,6 +228,7 @@ pub(crate) fn read_tensors(path: &Path) -> BTreeMap<String, Stored> {
         let values = match view.dtype() {
             Dtype::F32 => numbers(data, f32::from_le_bytes),
             Dtype::F64 => numbers(data, |b| f64::from_le_bytes(b) as f32),
+            Dtype::U8 => data.iter().map(|&byte| f32::from(byte)).collect(),
             Dtype::I64 => numbers(data, |b| i64::from_le_bytes(b) as f32),
             other => panic!("{name} of {} is {other:?}", path.display()),
         };

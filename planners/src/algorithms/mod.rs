@@ -1,0 +1,13 @@
+//! The diffusion planners, a file each.
+//!
+//! All three plan alike ([`plan`]): from the current observation they denoise `n_candidates` windows, guided by log p,
+//! and execute one of them. They differ in what guides and in how one is chosen.
+
+mod curiosity_diffuser;
+mod diffuser;
+pub(crate) mod plan;
+mod rediffuser;
+
+pub use curiosity_diffuser::CuriosityDiffuser;
+pub use diffuser::Diffuser;
+pub use rediffuser::{ReDiffuser, confidence_probabilities, top_candidates};

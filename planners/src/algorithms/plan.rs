@@ -1,0 +1,414 @@
+//! What all diffusion planners do: denoise candidates from the current observation and execute one.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::backend::{self, BackendOptions};
+use crate::config::{ConfidenceConfig, PlanningConfig};
+use crate::data::Normalizer;
+use crate::diffusion::{Guide, GuideScore, Prior, Sampler, SamplingTable, Schedule, SeededNoise};
+use crate::error::PlannerError;
+use crate::family::LoadOptions;
+use crate::model::network::{DIFFUSION, REWARD};
+use crate::model::{PlannerFile, PlannerMeta};
+use crate::nets::{Backend, Network, Weights};
+use crate::planner::{Candidates, PlanRequest, Planner, PlannerSpec};
+use crate::rng::{Purpose, Rng};
+
+/// A planner's file, and how it is to plan.
+pub(crate) struct Loaded {
+    meta: PlannerMeta,
+    pub(crate) normalizer: Normalizer,
+    pub(crate) planning: PlanningConfig,
+    networks: BTreeMap<String, Weights>,
+    backend: Box<dyn Backend>,
+}
+
+impl Loaded {
+    /// Reads the planner of a run.
+    pub(crate) fn open(
+        run: &Path,
+        family: &str,
+        options: &LoadOptions,
+    ) -> Result<Self, PlannerError> {
+        let file = PlannerFile::read(&PlannerFile::path(run), family)?;
+        let mut planning = file.meta.config.planning.clone();
+        replace(&mut planning.n_candidates, options.n_candidates);
+        replace(&mut planning.sampling_steps, options.sampling_steps);
+        replace(&mut planning.guidance_weight, options.guidance_weight);
+        replace(&mut planning.curiosity_weight, options.curiosity_weight);
+        replace(&mut planning.temperature, options.temperature);
+        planning.check()?;
+        Ok(Self {
+            meta: file.meta,
+            normalizer: file.normalizer,
+            planning,
+            networks: file.networks,
+            backend: backend::open(&BackendOptions::of_planning(options))?,
+        })
+    }
+
+    /// A network of the file.
+    pub(crate) fn network(&self, name: &'static str) -> Result<Box<dyn Network>, PlannerError> {
+        let architectures = self.meta.architectures();
+        match (architectures.get(name), self.networks.get(name)) {
+            (Some(architecture), Some(weights)) => self.backend.network(architecture, weights),
+            _ => Err(PlannerError::MissingTensor {
+                name: format!("{name}.*"),
+            }),
+        }
+    }
+
+    /// The guide by value.
+    pub(crate) fn value_guide(&self) -> Result<Guide, PlannerError> {
+        Ok(Guide::new(
+            self.network(REWARD)?,
+            self.meta.value_mean,
+            self.meta.value_std,
+        ))
+    }
+
+    /// Settings of ReDiffuser's confidence.
+    pub(crate) fn confidence(&self) -> Result<&ConfidenceConfig, PlannerError> {
+        match &self.meta.config.confidence {
+            Some(confidence) => Ok(confidence),
+            None => Err(PlannerError::UnknownSetting {
+                name: "confidence".to_owned(),
+                known: self.meta.config.to_json().keys().cloned().collect(),
+            }),
+        }
+    }
+
+    /// A planner without curiosity has no weight for it.
+    pub(crate) fn refuse_curiosity(&self, options: &LoadOptions) -> Result<(), PlannerError> {
+        match options.curiosity_weight {
+            Some(weight) if weight != 0.0 => Err(PlannerError::Request {
+                what: "the weight of curiosity",
+                expected: format!("0 for {}, which has no curiosity", self.meta.family),
+                found: weight.to_string(),
+            }),
+            _ => Ok(()),
+        }
+    }
+}
+
+fn replace<T: Copy>(value: &mut T, other: Option<T>) {
+    *value = other.unwrap_or(*value);
+}
+
+/// All candidates of one slot.
+pub(crate) struct SlotPlans<'a> {
+    /// Windows of the shape `(n_candidates, horizon, width)`.
+    pub(crate) windows: &'a [f32],
+    /// Numbers in a row of a window.
+    pub(crate) width: usize,
+    /// log p of each candidate.
+    pub(crate) scores: &'a [f64],
+}
+
+/// What a choice came to.
+pub(crate) struct Chosen {
+    pub(crate) index: usize,
+    /// Novelty of each candidate, where it is the choice that measures it.
+    pub(crate) novelties: Option<Vec<f64>>,
+}
+
+/// Chooses among candidates.
+pub(crate) trait Choice: Send {
+    fn choose(&mut self, plans: &SlotPlans<'_>, rng: Rng) -> Result<Chosen, PlannerError>;
+}
+
+/// The candidate of the highest score; of equal ones the first.
+pub(crate) struct Best;
+
+impl Choice for Best {
+    fn choose(&mut self, plans: &SlotPlans<'_>, _: Rng) -> Result<Chosen, PlannerError> {
+        let mut index = 0;
+        for (at, score) in plans.scores.iter().enumerate() {
+            if *score > plans.scores[index] {
+                index = at;
+            }
+        }
+        Ok(Chosen {
+            index,
+            novelties: None,
+        })
+    }
+}
+
+/// An episode in a slot.
+struct Slot {
+    seed: u64,
+    n_plans: u64,
+    /// The window that was executed last.
+    last: Option<Vec<f32>>,
+}
+
+/// A diffusion planner.
+pub(crate) struct DiffusionPlanner {
+    spec: PlannerSpec,
+    meta: PlannerMeta,
+    normalizer: Normalizer,
+    planning: PlanningConfig,
+    network: Box<dyn Network>,
+    guide: Guide,
+    choice: Box<dyn Choice>,
+    schedule: Schedule,
+    table: SamplingTable,
+    /// The steps of a warm start.
+    tail: Option<SamplingTable>,
+    shift: usize,
+    slots: BTreeMap<usize, Slot>,
+}
+
+impl DiffusionPlanner {
+    pub(crate) fn new(
+        loaded: Loaded,
+        guide: Guide,
+        choice: Box<dyn Choice>,
+        options: &LoadOptions,
+    ) -> Result<Self, PlannerError> {
+        let network = loaded.network(DIFFUSION)?;
+        let (meta, planning) = (loaded.meta, loaded.planning);
+        let schedule = Schedule::cosine(meta.config.diffusion.n_timesteps);
+        let table = SamplingTable::new(
+            &schedule,
+            planning.sampling_steps,
+            meta.config.mode,
+            planning.solver,
+        );
+        let tail = match options.warm_start {
+            Some(share) if !(share > 0.0 && share <= 1.0) => {
+                return Err(PlannerError::Request {
+                    what: "the share of a warm start",
+                    expected: "above 0, at most 1".to_owned(),
+                    found: share.to_string(),
+                });
+            }
+            share => share.map(|share| table.tail(share)),
+        };
+        Ok(Self {
+            spec: PlannerSpec {
+                family: meta.family.clone(),
+                observation_dim: meta.observation_dim,
+                action_dim: meta.action_dim,
+                horizon: meta.config.data.horizon,
+            },
+            meta,
+            normalizer: loaded.normalizer,
+            planning,
+            network,
+            guide,
+            choice,
+            schedule,
+            table,
+            tail,
+            shift: options.replan_interval.unwrap_or(1),
+            slots: BTreeMap::new(),
+        })
+    }
+
+    fn width(&self) -> usize {
+        self.spec.observation_dim + self.spec.action_dim
+    }
+
+    fn window_len(&self) -> usize {
+        self.spec.horizon * self.width()
+    }
+
+    fn check(&self, request: &PlanRequest<'_>) -> Result<(), PlannerError> {
+        let expected = request.slots.len() * self.spec.observation_dim;
+        if request.observations.len() != expected {
+            return Err(PlannerError::Length {
+                what: "the observations of a request",
+                expected,
+                found: request.observations.len(),
+            });
+        }
+        if let Some(slot) = request
+            .slots
+            .iter()
+            .find(|slot| !self.slots.contains_key(slot))
+        {
+            return Err(PlannerError::Request {
+                what: "a slot",
+                expected: "one that was reset".to_owned(),
+                found: slot.to_string(),
+            });
+        }
+        if let Some(value) = request.observations.iter().find(|value| !value.is_finite()) {
+            return Err(PlannerError::Request {
+                what: "an observation",
+                expected: "a finite number".to_owned(),
+                found: value.to_string(),
+            });
+        }
+        Ok(())
+    }
+
+    /// Normalized, in the order of the networks, and bounded as only f32 can be wrong.
+    fn normalized(&self, observation: &[f64]) -> Vec<f32> {
+        let order = &self.meta.observation_order;
+        let ordered: Vec<f64> = order.iter().map(|&column| observation[column]).collect();
+        let mut normalized = vec![0.0; ordered.len()];
+        self.normalizer.normalize(&ordered, &mut normalized);
+        normalized
+    }
+
+    /// Candidates of some slots, which start alike.
+    fn denoise(
+        &mut self,
+        members: &[(usize, Vec<f32>)],
+        warm: bool,
+    ) -> Result<(Vec<f32>, GuideScore), PlannerError> {
+        let n_candidates = self.planning.n_candidates;
+        let mut observations = Vec::new();
+        let mut start = Vec::new();
+        for (slot, observation) in members {
+            observations.extend(observation.repeat(n_candidates));
+            if warm && let Some(last) = self.slots.get(slot).and_then(|slot| slot.last.as_ref()) {
+                start.extend(shifted(last, self.shift, self.width()).repeat(n_candidates));
+            }
+        }
+        let plans = members.iter().filter_map(|(slot, _)| self.slots.get(slot));
+        let mut noise = SeededNoise::new(plans.map(|slot| (slot.seed, slot.n_plans)), n_candidates);
+        let table = if warm { self.tail.as_ref() } else { None };
+        let prior = Prior {
+            observations: &observations,
+            observation_dim: self.spec.observation_dim,
+            start: table.map(|_| start.as_slice()),
+        };
+        let sample = Sampler {
+            network: self.network.as_mut(),
+            guide: Some(&mut self.guide),
+            schedule: &self.schedule,
+            table: table.unwrap_or(&self.table),
+            temperature: self.planning.temperature as f32,
+            guidance_weight: self.planning.guidance_weight as f32,
+        }
+        .sample(&prior, &mut noise, &mut |_| ())?;
+        Ok((sample.x, sample.score))
+    }
+
+    /// Chooses among the candidates of one slot and remembers the choice.
+    fn settle(
+        &mut self,
+        slot: usize,
+        windows: &[f32],
+        scores: &[f64],
+    ) -> Result<Chosen, PlannerError> {
+        let (window_len, width) = (self.window_len(), self.width());
+        let state = self.slots.get_mut(&slot);
+        let (seed, n_plans) = state
+            .as_ref()
+            .map_or((0, 0), |state| (state.seed, state.n_plans));
+        let plans = SlotPlans {
+            windows,
+            width,
+            scores,
+        };
+        let chosen = self
+            .choice
+            .choose(&plans, Rng::new(seed, Purpose::Choice, n_plans))?;
+        if let Some(state) = state {
+            state.n_plans += 1;
+            state.last = self.tail.is_some().then(|| {
+                windows[chosen.index * window_len..(chosen.index + 1) * window_len].to_vec()
+            });
+        }
+        Ok(chosen)
+    }
+
+    /// The actions of windows, clipped.
+    fn actions(&self, windows: &[f32]) -> Vec<f32> {
+        let mut actions = Vec::with_capacity(windows.len() / self.width() * self.spec.action_dim);
+        for row in windows.chunks_exact(self.width()) {
+            let bounds = self.meta.action_low.iter().zip(&self.meta.action_high);
+            let raw = &row[self.spec.observation_dim..];
+            actions.extend(
+                raw.iter()
+                    .zip(bounds)
+                    .map(|(&value, (&low, &high))| value.max(low).min(high)),
+            );
+        }
+        actions
+    }
+}
+
+impl Planner for DiffusionPlanner {
+    fn spec(&self) -> &PlannerSpec {
+        &self.spec
+    }
+
+    fn reset(&mut self, slot: usize, seed: u64) -> Result<(), PlannerError> {
+        let fresh = Slot {
+            seed,
+            n_plans: 0,
+            last: None,
+        };
+        self.slots.insert(slot, fresh);
+        Ok(())
+    }
+
+    fn plan(&mut self, request: &PlanRequest<'_>) -> Result<Candidates, PlannerError> {
+        self.check(request)?;
+        let n_candidates = self.planning.n_candidates;
+        let mut groups: [Vec<(usize, Vec<f32>)>; 2] = [Vec::new(), Vec::new()];
+        let observations = request.observations.chunks_exact(self.spec.observation_dim);
+        for (&slot, observation) in request.slots.iter().zip(observations) {
+            let warm = self
+                .slots
+                .get(&slot)
+                .is_some_and(|slot| slot.last.is_some());
+            groups[usize::from(warm)].push((slot, self.normalized(observation)));
+        }
+        let mut found = BTreeMap::new();
+        for (warm, members) in [(false, &groups[0]), (true, &groups[1])] {
+            if members.is_empty() {
+                continue;
+            }
+            let (x, score) = self.denoise(members, warm)?;
+            let part_len = n_candidates * self.window_len();
+            for (at, (slot, _)) in members.iter().enumerate() {
+                let windows = &x[at * part_len..(at + 1) * part_len];
+                let range = at * n_candidates..(at + 1) * n_candidates;
+                let widen = |values: &[f32]| -> Vec<f64> {
+                    let part = values.get(range.clone()).unwrap_or_default();
+                    part.iter().map(|&value| f64::from(value)).collect()
+                };
+                let (scores, novelties) = (widen(&score.log_p), widen(&score.novelty));
+                let chosen = self.settle(*slot, windows, &scores)?;
+                let novelties = chosen.novelties.unwrap_or(novelties);
+                found.insert(
+                    *slot,
+                    (self.actions(windows), scores, novelties, chosen.index),
+                );
+            }
+        }
+        let mut candidates = Candidates {
+            n_candidates,
+            horizon: self.spec.horizon,
+            actions: Vec::new(),
+            scores: Vec::new(),
+            novelties: Vec::new(),
+            chosen: Vec::new(),
+        };
+        for (actions, scores, novelties, chosen) in found.into_values() {
+            candidates.actions.extend(actions);
+            candidates.scores.extend(scores);
+            candidates.novelties.extend(novelties);
+            candidates.chosen.push(chosen);
+        }
+        Ok(candidates)
+    }
+}
+
+/// A window `n` rows later; its last row stands in for those that are not known.
+fn shifted(window: &[f32], n: usize, width: usize) -> Vec<f32> {
+    let n_rows = window.len() / width;
+    let row = |at: usize| {
+        let at = (at + n).min(n_rows - 1);
+        &window[at * width..(at + 1) * width]
+    };
+    (0..n_rows).flat_map(row).copied().collect()
+}

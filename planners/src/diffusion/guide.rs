@@ -1,0 +1,134 @@
+//! log p of a window: its value, less the curiosity it raises.
+
+use crate::error::PlannerError;
+use crate::nets::Network;
+
+/// Scores windows and knows the gradient of the score.
+///
+/// log p(x, t) = R(x, t) − λ·Σ_o (predictor(x, t)_o − target(x, t)_o)², with the value R in the unit of the rewards.
+/// The gradient flows through all three networks. Without curiosity it is Diffuser's guide.
+pub struct Guide {
+    reward: Box<dyn Network>,
+    value_mean: f32,
+    value_std: f32,
+    curiosity: Option<Curiosity>,
+}
+
+/// The two networks of random network distillation, and their weight.
+struct Curiosity {
+    predictor: Box<dyn Network>,
+    target: Box<dyn Network>,
+    weight: f32,
+}
+
+/// Scores of a batch of windows.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct GuideScore {
+    /// log p of each window.
+    pub log_p: Vec<f32>,
+    /// Novelty Σ_o (predictor_o − target_o)² of each window; empty without curiosity.
+    pub novelty: Vec<f32>,
+}
+
+impl Guide {
+    /// A guide by value alone. The reward network's output times `value_std` plus `value_mean` is the value.
+    pub fn new(reward: Box<dyn Network>, value_mean: f32, value_std: f32) -> Self {
+        Self {
+            reward,
+            value_mean,
+            value_std,
+            curiosity: None,
+        }
+    }
+
+    /// Lowers curiosity with the weight λ. A weight of 0 leaves the guide as it is: the networks are not even asked.
+    #[must_use]
+    pub fn with_curiosity(
+        mut self,
+        predictor: Box<dyn Network>,
+        target: Box<dyn Network>,
+        weight: f64,
+    ) -> Self {
+        self.curiosity = (weight != 0.0).then_some(Curiosity {
+            predictor,
+            target,
+            weight: weight as f32,
+        });
+        self
+    }
+
+    /// Scores windows `x` of the shape `(n, horizon, width)` at timesteps `t`, and writes the gradient of log p by `x`
+    /// if it is wanted.
+    ///
+    /// # Errors
+    /// Lengths that do not go together.
+    pub fn score(
+        &mut self,
+        x: &[f32],
+        t: &[f32],
+        mut gradient: Option<&mut [f32]>,
+    ) -> Result<GuideScore, PlannerError> {
+        let keep = gradient.is_some();
+        let mut log_p = vec![0.0; t.len()];
+        self.reward.forward(x, t, keep, &mut log_p)?;
+        if let Some(gradient) = gradient.as_deref_mut() {
+            let cotangent = vec![self.value_std; t.len()];
+            self.reward.input_gradient(&cotangent, gradient)?;
+        }
+        for value in &mut log_p {
+            *value = *value * self.value_std + self.value_mean;
+        }
+        let mut novelty = Vec::new();
+        if let Some(curiosity) = &mut self.curiosity {
+            novelty = curiosity.novelty(x, t, gradient)?;
+            for (log_p, novelty) in log_p.iter_mut().zip(&novelty) {
+                *log_p -= curiosity.weight * novelty;
+            }
+        }
+        Ok(GuideScore { log_p, novelty })
+    }
+}
+
+impl Curiosity {
+    /// Novelty of each window; what lowers it is added to the gradient.
+    fn novelty(
+        &mut self,
+        x: &[f32],
+        t: &[f32],
+        gradient: Option<&mut [f32]>,
+    ) -> Result<Vec<f32>, PlannerError> {
+        let keep = gradient.is_some();
+        let out_dim = self.predictor.architecture().output_len();
+        let mut difference = vec![0.0; t.len() * out_dim];
+        let mut fixed = vec![0.0; t.len() * out_dim];
+        self.predictor.forward(x, t, keep, &mut difference)?;
+        self.target.forward(x, t, keep, &mut fixed)?;
+        for (difference, fixed) in difference.iter_mut().zip(&fixed) {
+            *difference -= fixed;
+        }
+        let novelty = difference.chunks_exact(out_dim);
+        let novelty = novelty
+            .map(|row| row.iter().map(|value| value * value).sum())
+            .collect();
+        if let Some(gradient) = gradient {
+            // d(−λ Σ d²) = −2λ Σ d·(d predictor − d target)
+            let mut cotangent = difference;
+            cotangent
+                .iter_mut()
+                .for_each(|value| *value *= -2.0 * self.weight);
+            let mut part = vec![0.0; x.len()];
+            self.predictor.input_gradient(&cotangent, &mut part)?;
+            add(gradient, &part);
+            cotangent.iter_mut().for_each(|value| *value = -*value);
+            self.target.input_gradient(&cotangent, &mut part)?;
+            add(gradient, &part);
+        }
+        Ok(novelty)
+    }
+}
+
+fn add(sum: &mut [f32], part: &[f32]) {
+    for (sum, part) in sum.iter_mut().zip(part) {
+        *sum += part;
+    }
+}

@@ -1,0 +1,149 @@
+//! First phase: the diffusion model and the reward network on the same windows.
+
+use super::learner::{Learner, Rate};
+use super::run::{Done, Phase, Setting};
+use crate::config::{Mode, RewardRule};
+use crate::data::{Batches, Subset};
+use crate::diffusion::{Noised, diffusion_loss, value_loss};
+use crate::error::PlannerError;
+use crate::model::network::{DIFFUSION, REWARD};
+use crate::rng::{Purpose, Rng};
+
+/// Diffusion model and reward network.
+pub(crate) struct DiffusionPhase {
+    batches: Batches,
+    diffusion: Learner,
+    reward: Learner,
+    x0: Vec<f32>,
+    values: Vec<f32>,
+}
+
+impl DiffusionPhase {
+    pub(crate) fn new(setting: &mut Setting<'_>) -> Result<Self, PlannerError> {
+        let config = setting.config;
+        let batch_size = config.diffusion.batch_size;
+        let width = setting.windows.width();
+        let n_updates = config.diffusion.n_updates;
+        let diffusion = setting.learner(
+            DIFFUSION,
+            &config.diffusion_network(width),
+            config.diffusion.learning_rate,
+            Rate::Cosine(n_updates),
+        )?;
+        let reward = setting.learner(
+            REWARD,
+            &config.classifier_network(width, 1),
+            config.reward.learning_rate,
+            Rate::Cosine(n_updates.div_ceil(config.reward.interval)),
+        )?;
+        Ok(Self {
+            batches: Self::batches(setting)?,
+            diffusion: diffusion
+                .decoupled_decay(config.diffusion.weight_decay)
+                .average(config.diffusion.ema_rate),
+            reward: reward
+                .l2_decay(config.reward.weight_decay)
+                .average(config.reward.ema_rate),
+            x0: vec![0.0; batch_size * config.data.horizon * width],
+            values: vec![0.0; batch_size],
+        })
+    }
+
+    /// The batches, which need enough windows.
+    pub(crate) fn batches(setting: &Setting<'_>) -> Result<Batches, PlannerError> {
+        let batch_size = setting.config.diffusion.batch_size;
+        Batches::new(
+            setting.windows,
+            Subset::All,
+            batch_size,
+            setting.seed,
+            Purpose::DiffusionOrder,
+        )
+    }
+
+    fn update_diffusion(
+        &mut self,
+        setting: &Setting<'_>,
+        number: u64,
+    ) -> Result<Done, PlannerError> {
+        let noised = setting.noise(&self.x0, self.values.len(), Purpose::DiffusionNoise, number)?;
+        let windows = setting.windows;
+        let window_len = windows.horizon * windows.width();
+        let dims = (windows.observation_dim(), windows.width());
+        let (x0, action_weight) = (&self.x0, setting.config.diffusion.action_loss_weight);
+        let update = self
+            .diffusion
+            .update(&noised.x, &noised.t, |out, gradient| {
+                diffusion_loss(out, x0, window_len, dims, action_weight, gradient)
+            })?;
+        Ok(Done::new(
+            &self.diffusion,
+            update,
+            number + 1 == self.n_updates(setting),
+        ))
+    }
+
+    fn update_reward(&mut self, setting: &Setting<'_>, number: u64) -> Result<Done, PlannerError> {
+        let config = setting.config;
+        let noised = setting.noise(&self.x0, self.values.len(), Purpose::RewardNoise, number)?;
+        // Minari's values come without the last axis, D4RL's with it: only the former broadcast in the reference.
+        let broadcast = config.mode == Mode::Reference && config.data.rule == RewardRule::Goal;
+        let values = &self.values;
+        let update = self.reward.update(&noised.x, &noised.t, |out, gradient| {
+            value_loss(out, values, broadcast, gradient)
+        })?;
+        let last = number + config.reward.interval >= config.diffusion.n_updates;
+        Ok(Done::new(&self.reward, update, last))
+    }
+}
+
+impl Phase for DiffusionPhase {
+    fn name(&self) -> &'static str {
+        DIFFUSION
+    }
+
+    fn n_updates(&self, setting: &Setting<'_>) -> u64 {
+        setting.config.diffusion.n_updates
+    }
+
+    fn update(&mut self, setting: &Setting<'_>, number: u64) -> Result<Vec<Done>, PlannerError> {
+        self.batches
+            .fill(setting.windows, number, &mut self.x0, &mut self.values);
+        for value in &mut self.values {
+            *value = (*value - setting.value_mean) / setting.value_std;
+        }
+        let mut done = vec![self.update_diffusion(setting, number)?];
+        if number % setting.config.reward.interval == 0 {
+            done.push(self.update_reward(setting, number)?);
+        }
+        Ok(done)
+    }
+
+    fn learners(&self) -> Vec<&Learner> {
+        vec![&self.diffusion, &self.reward]
+    }
+}
+
+impl Setting<'_> {
+    /// Windows noised to uniform timesteps, from the stream of a purpose and an update.
+    pub(crate) fn noise(
+        &self,
+        x0: &[f32],
+        n: usize,
+        purpose: Purpose,
+        number: u64,
+    ) -> Result<Noised, PlannerError> {
+        let mut rng = Rng::new(self.seed, purpose, number);
+        let n_timesteps = self.schedule.n_timesteps();
+        let t: Vec<usize> = (0..n).map(|_| rng.below(n_timesteps)).collect();
+        let mut epsilon = vec![0.0; x0.len()];
+        rng.fill_normal(&mut epsilon);
+        Noised::new(
+            &self.schedule,
+            x0,
+            &t,
+            &epsilon,
+            self.windows.observation_dim(),
+        )
+    }
+}

@@ -1,0 +1,16 @@
+//! Training: phases of updates, checkpoints to go on from, and the folder of a run.
+//!
+//! Everything that is drawn follows from the seed and the number of the update, so a training that was stopped goes on
+//! with the numbers it would have had.
+
+mod checkpoint;
+mod confidence;
+mod curiosity;
+mod diffusion;
+mod history;
+mod learner;
+mod manifest;
+mod run;
+
+pub use learner::{Learner, Rate, Update, cosine_rate};
+pub(crate) use run::{TrainedFamily, train};
