@@ -18,7 +18,8 @@ native:
 # KSIM_PYTHON=target/peers/bin/python make test. LeRobot brings gigabytes and comes last.
 peers:
 	python3 -m venv target/peers
-	target/peers/bin/pip install --quiet "minari[hdf5]==0.5.4" pillow pyarrow mcap mcap-protobuf-support mcap-ros2-support
+	target/peers/bin/pip install --quiet "minari[hdf5]==0.5.4" gymnasium-robotics==1.4.2 mujoco==3.17.0 pillow pyarrow \
+		mcap mcap-protobuf-support mcap-ros2-support
 	timeout 900 target/peers/bin/pip install --quiet lerobot
 
 # What CI runs.

@@ -29,6 +29,7 @@ def check(dataset):
         "seeds": seeds,
         "n_steps": int(dataset.total_steps),
         "infos": sorted(episodes[0].infos),
+        "n_successful": sum(bool(numpy.any(episode.infos.get("success", False))) for episode in episodes),
         "actions_fit": all(dataset.action_space.contains(action) for episode in episodes for action in episode.actions),
         "first_observation_error": float(numpy.abs(flat(first) - flat(episodes[0].observations, 0)).max()),
     }

@@ -1,7 +1,8 @@
 //! Times stepping, for `benches/compare_peers.py`: `time_step ID KWARGS N_ENVIRONMENTS N_STEPS THREADS`.
 //!
 //! Every environment takes `N_STEPS` random actions, and is reset whenever an episode ends. Prints the seconds that
-//! this took, observations and rewards included, models and actions made before.
+//! this took on the clock and of the processors (Linux; NaN elsewhere), observations and rewards included, models and
+//! actions made before.
 
 use std::error::Error;
 use std::time::Instant;
@@ -33,17 +34,30 @@ fn main() -> Result<(), Box<dyn Error>> {
         .num_threads(threads.parse()?)
         .build()?;
     pool.install(|| run(&mut environments, n_steps))?;
-    let start = Instant::now();
+    let (start, busy) = (Instant::now(), processor_seconds());
     let total = pool.install(|| run(&mut environments, n_steps))?;
-    let seconds = start.elapsed().as_secs_f64();
+    let (seconds, busy) = (start.elapsed().as_secs_f64(), processor_seconds() - busy);
     // The sum is printed so that no reward goes uncomputed.
-    print(seconds, total);
+    print(seconds, busy, total);
     Ok(())
 }
 
 #[expect(clippy::print_stdout, reason = "this program's result")]
-fn print(seconds: f64, total: f64) {
-    println!("{seconds} {total}");
+fn print(seconds: f64, processor_seconds: f64, total: f64) {
+    println!("{seconds} {processor_seconds} {total}");
+}
+
+/// Seconds that this program's threads have run: on a machine that others use too, the clock says little.
+fn processor_seconds() -> f64 {
+    let threads = std::fs::read_dir("/proc/self/task").into_iter().flatten();
+    let nanoseconds = threads.map(|thread| {
+        let text = std::fs::read_to_string(thread.ok()?.path().join("schedstat")).ok()?;
+        text.split_whitespace().next()?.parse::<f64>().ok()
+    });
+    let total: Option<f64> = nanoseconds.sum();
+    total
+        .filter(|total| *total > 0.0)
+        .map_or(f64::NAN, |ns| ns * 1e-9)
 }
 
 fn run(environments: &mut VectorEnvironment, n_steps: usize) -> Result<f64, VectorError> {

@@ -265,7 +265,6 @@ mod tests {
     fn a_fallen_ant_holds_its_actions_and_follows_its_seed() {
         let mut observation = [0.0; OBSERVATION_DIM];
         observation[2..7].copy_from_slice(&[0.3, 0.0, 1.0, 0.0, 0.0]);
-        let maze = Maze::published("UMaze").expect("a published map");
         let actions = |seed| {
             let mut driver = Driver::new(seed);
             [(); 6].map(|()| {
@@ -285,6 +284,5 @@ mod tests {
                 .iter()
                 .all(|value| value.abs() == 1.0)
         );
-        drop(maze);
     }
 }

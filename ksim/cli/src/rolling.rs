@@ -156,12 +156,11 @@ impl Ready {
             records: Vec::new(),
             recording,
         };
-        rollout(
-            &mut self.environments,
-            &mut *self.policy,
-            &self.config,
-            &mut watcher,
-        )?;
+        // On a thread of the pool, which needs not be woken for every step.
+        rayon::scope(|_| {
+            let (environments, policy) = (&mut self.environments, &mut *self.policy);
+            rollout(environments, policy, &self.config, &mut watcher)
+        })?;
         let mut rollout = self.describe();
         let Watcher {
             progress,

@@ -72,7 +72,9 @@ pub(crate) fn run(args: &RolloutArgs, context: &Context) -> Result<CommandOutcom
     };
     let _cooperative = atomic::Cooperative::begin();
     let played = ready.play(destination.as_ref(), about, context)?;
-    if let Some(path) = &args.episodes_output {
+    if let Some(path) = &args.episodes_output
+        && !played.records.is_empty()
+    {
         episodes_table::write(path, &played.records)?;
     }
     report(&played, &setup, args)?;
