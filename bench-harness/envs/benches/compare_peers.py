@@ -62,10 +62,10 @@ def time_gymnasium(env, n_steps):
 def time_rollout(env, n_steps):
     inner = getattr(env.unwrapped, "ant_env", env.unwrapped).unwrapped
     model, skip = inner.model, inner.frame_skip
-    env.reset(seed=0)
-    state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
-    mujoco.mj_getState(model, inner.data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-    states = np.tile(state, (N_ENVIRONMENTS, 1))
+    states = np.zeros((N_ENVIRONMENTS, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
+    for seed, state in enumerate(states):  # where ours start too: in a maze, walls cost time
+        env.reset(seed=seed)
+        mujoco.mj_getState(model, inner.data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     rng = np.random.default_rng(0)
     control = np.repeat(rng.uniform(-1, 1, (N_ENVIRONMENTS, EPISODE, model.nu)), skip, axis=1)
     data = [mujoco.MjData(model)]
