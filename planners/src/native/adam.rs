@@ -1,6 +1,6 @@
 //! Adam and AdamW, and the moving average of the weights, in one pass over the parameters.
 
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::nets::Adam;
@@ -83,15 +83,45 @@ pub(super) fn update(
         gradient.par_chunks(BLOCK),
     );
     all.into_par_iter()
-        .for_each(|(parameters, ema, first, second, gradient)| {
-            Arch::new().dispatch(|| {
-                let moments = first.iter_mut().zip(second);
-                let weights = parameters.iter_mut().zip(ema);
-                for (((p, average), (m, v)), g) in weights.zip(moments).zip(gradient) {
-                    one(factors, *g, (p, average), (m, v));
-                }
+        .for_each(|(parameters, ema, first_moment, second_moment, gradient)| {
+            let updated = Updated {
+                parameters,
+                ema,
+                first_moment,
+                second_moment,
+            };
+            Arch::new().dispatch(Step {
+                factors,
+                updated,
+                gradient,
             });
         });
+}
+
+/// An update of some parameters.
+struct Step<'a> {
+    factors: Factors,
+    updated: Updated<'a>,
+    gradient: &'a [f32],
+}
+
+impl WithSimd for Step<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Updated {
+            parameters,
+            ema,
+            first_moment,
+            second_moment,
+        } = self.updated;
+        let moments = first_moment.iter_mut().zip(second_moment);
+        let weights = parameters.iter_mut().zip(ema);
+        for (((p, average), (m, v)), g) in weights.zip(moments).zip(self.gradient) {
+            one(self.factors, *g, (p, average), (m, v));
+        }
+    }
 }
 
 #[inline(always)]

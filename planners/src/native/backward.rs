@@ -189,8 +189,10 @@ impl Backward<'_> {
             slopes: &mut lent,
             scales: self.chunk.read(scales),
             parameters,
+            dy: self.chunk.read(dy),
+            x: &mut gradient,
         }
-        .run(self.chunk.read(dy), &mut gradient);
+        .run();
         self.chunk.norm_gradients = norm_gradients;
         self.chunk.put_back(x, gradient);
         self.chunk.put_back(slopes, lent);

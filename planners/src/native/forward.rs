@@ -165,12 +165,12 @@ impl Forward<'_> {
         let mut output = self.chunk.lend(y);
         let mut lent =
             kept.map(|(slopes, scales)| (self.chunk.lend(slopes), self.chunk.lend(scales)));
-        norm::forward(
+        let (gain, shift) = norm.affine(self.model.parameters);
+        norm::Forward {
             sizes,
-            norm.affine(self.model.parameters),
-            &mut activations,
-            &mut output,
-            match added {
+            gain,
+            shift,
+            plus: match added {
                 Added::Nothing => Plus::Nothing,
                 Added::Time(column) => Plus::Rows {
                     rows: &times.columns[column..],
@@ -178,9 +178,13 @@ impl Forward<'_> {
                 },
                 Added::Buffer(id) => Plus::All(self.chunk.read(id)),
             },
-            lent.as_mut()
+            kept: lent
+                .as_mut()
                 .map(|(slopes, scales)| norm::Kept { slopes, scales }),
-        );
+            x: &mut activations,
+            y: &mut output,
+        }
+        .run();
         self.chunk.put_back(x, activations);
         self.chunk.put_back(y, output);
         match (kept, lent) {

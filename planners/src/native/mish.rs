@@ -1,6 +1,6 @@
 //! Mish, x·tanh(softplus(x)) (Misra 2019), and its derivative, for compilers to vectorize.
 
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 /// e^x to about one unit in the last place, for x within ±87.
 #[inline(always)]
@@ -46,18 +46,33 @@ pub(super) fn mish(x: f32) -> (f32, f32) {
 
 /// Mish of every number; the derivative too, where there is room for it.
 pub(super) fn apply(x: &[f32], out: &mut [f32], slopes: Option<&mut [f32]>) {
-    Arch::new().dispatch(|| match slopes {
-        None => {
-            for (out, x) in out.iter_mut().zip(x) {
-                *out = mish(*x).0;
+    Arch::new().dispatch(Apply { x, out, slopes });
+}
+
+struct Apply<'a> {
+    x: &'a [f32],
+    out: &'a mut [f32],
+    slopes: Option<&'a mut [f32]>,
+}
+
+impl WithSimd for Apply<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        match self.slopes {
+            None => {
+                for (out, x) in self.out.iter_mut().zip(self.x) {
+                    *out = mish(*x).0;
+                }
+            }
+            Some(slopes) => {
+                for ((out, slope), x) in self.out.iter_mut().zip(slopes).zip(self.x) {
+                    (*out, *slope) = mish(*x);
+                }
             }
         }
-        Some(slopes) => {
-            for ((out, slope), x) in out.iter_mut().zip(slopes).zip(x) {
-                (*out, *slope) = mish(*x);
-            }
-        }
-    });
+    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! Every channel is summed over positions, every group over its channels, both in their order: a sample's numbers do
 //! not depend on the samples beside it.
 
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::mish::mish;
 
@@ -50,48 +50,61 @@ pub(super) struct Kept<'a> {
     pub(super) scales: &'a mut [f32],
 }
 
-/// y = Mish(norm(x)·gain + shift) + plus. If `kept` is given, `x` becomes norm(x).
-pub(super) fn forward(
-    sizes: Sizes,
-    (gain, shift): (&[f32], &[f32]),
-    x: &mut [f32],
-    y: &mut [f32],
-    plus: Plus<'_>,
-    mut kept: Option<Kept<'_>>,
-) {
-    let channels = sizes.channels;
-    let mut means = vec![0.0; channels];
-    let mut scales = vec![0.0; channels];
-    let (gain, shift) = (&gain[..channels], &shift[..channels]);
-    Arch::new().dispatch(|| {
+/// A norm, the Mish after it, and what is added to that: y = Mish(norm(x)·gain + shift) + plus.
+pub(super) struct Forward<'a> {
+    pub(super) sizes: Sizes,
+    pub(super) gain: &'a [f32],
+    pub(super) shift: &'a [f32],
+    pub(super) plus: Plus<'a>,
+    /// If it is given, `x` becomes norm(x).
+    pub(super) kept: Option<Kept<'a>>,
+    pub(super) x: &'a mut [f32],
+    pub(super) y: &'a mut [f32],
+}
+
+impl Forward<'_> {
+    pub(super) fn run(self) {
+        Arch::new().dispatch(self);
+    }
+}
+
+impl WithSimd for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, _: S) {
+        let sizes = self.sizes;
+        let channels = sizes.channels;
+        let (gain, shift) = (&self.gain[..channels], &self.shift[..channels]);
+        let mut means = vec![0.0; channels];
+        let mut scales = vec![0.0; channels];
         for n in 0..sizes.samples {
-            moments(sizes, n, x, &mut means, &mut scales);
+            moments(sizes, n, self.x, &mut means, &mut scales);
             for l in 0..sizes.length {
                 let row = sizes.row(l, n);
-                let x = &mut x[row..][..channels];
-                let y = &mut y[row..][..channels];
-                match &mut kept {
+                let x = &mut self.x[row..][..channels];
+                let y = &mut self.y[row..][..channels];
+                match &mut self.kept {
                     None => activate(x, y, (&means, &scales), (gain, shift)),
                     Some(kept) => {
                         let slopes = &mut kept.slopes[row..][..channels];
                         activate_kept(x, y, slopes, (&means, &scales), (gain, shift));
                     }
                 }
-                match plus {
+                match self.plus {
                     Plus::Nothing => {}
                     Plus::Rows { rows, stride } => add(y, &rows[n * stride..][..channels]),
                     Plus::All(all) => add(y, &all[row..][..channels]),
                 }
             }
-            if let Some(kept) = &mut kept {
+            if let Some(kept) = &mut self.kept {
                 let kept = &mut kept.scales[n * sizes.groups..][..sizes.groups];
-                let groups = scales.chunks_exact(sizes.group_size());
-                kept.iter_mut()
-                    .zip(groups)
-                    .for_each(|(kept, group)| *kept = group[0]);
+                for (kept, group) in kept.iter_mut().zip(scales.chunks_exact(sizes.group_size())) {
+                    *kept = group[0];
+                }
             }
         }
-    });
+    }
 }
 
 #[inline(always)]
@@ -144,7 +157,7 @@ fn moments(sizes: Sizes, n: usize, x: &[f32], means: &mut [f32], scales: &mut [f
             means[c] += x[c];
         }
     }
-    spread(means, sizes.group_size(), |sum| sum * over);
+    spread_means(means, sizes.group_size(), over);
     scales.fill(0.0);
     for l in 0..sizes.length {
         let x = &x[sizes.row(l, n)..][..channels];
@@ -153,17 +166,18 @@ fn moments(sizes: Sizes, n: usize, x: &[f32], means: &mut [f32], scales: &mut [f
             scales[c] = off.mul_add(off, scales[c]);
         }
     }
-    spread(scales, sizes.group_size(), |sum| {
-        1.0 / sum.mul_add(over, EPSILON).sqrt()
-    });
+    spread_means(scales, sizes.group_size(), over);
+    for scale in scales {
+        *scale = 1.0 / (*scale + EPSILON).sqrt();
+    }
 }
 
-/// Puts what `of` makes of the sum of every group in place of its numbers.
+/// Puts the mean of every group, the sum times `over`, in place of its numbers.
 #[inline(always)]
-fn spread(numbers: &mut [f32], group_size: usize, of: impl Fn(f32) -> f32) {
+fn spread_means(numbers: &mut [f32], group_size: usize, over: f32) {
     for group in numbers.chunks_exact_mut(group_size) {
-        let value = of(sum(group));
-        group.fill(value);
+        let mean = sum(group) * over;
+        group.fill(mean);
     }
 }
 
@@ -177,7 +191,14 @@ fn sum(numbers: &[f32]) -> f32 {
             *strand += x;
         }
     }
-    strands.iter().chain(rest).sum()
+    let mut sum = 0.0;
+    for strand in strands {
+        sum += strand;
+    }
+    for x in rest {
+        sum += x;
+    }
+    sum
 }
 
 /// The way back of [`forward`].
@@ -190,44 +211,54 @@ pub(super) struct Backward<'a> {
     pub(super) scales: &'a [f32],
     /// Gradients by gain and shift, added to.
     pub(super) parameters: Option<(&'a mut [f32], &'a mut [f32])>,
+    /// The gradient by the output.
+    pub(super) dy: &'a [f32],
+    /// norm(x) as kept; becomes the gradient by the input.
+    pub(super) x: &'a mut [f32],
+}
+
+impl WithSimd for Backward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, _: S) {
+        let channels = self.sizes.channels;
+        let size = self.sizes.group_size();
+        let over = 1.0 / (self.sizes.length * size) as f32;
+        let mut sums = vec![0.0; channels];
+        let mut products = vec![0.0; channels];
+        for n in 0..self.sizes.samples {
+            self.sum(n, &mut sums, &mut products);
+            if let Some((by_gain, by_shift)) = &mut self.parameters {
+                add(&mut by_gain[..channels], &products);
+                add(&mut by_shift[..channels], &sums);
+            }
+            for (c, gain) in self.gain[..channels].iter().enumerate() {
+                sums[c] *= gain;
+                products[c] *= gain;
+            }
+            spread_means(&mut sums, size, over);
+            spread_means(&mut products, size, over);
+            self.write(n, &sums, &products);
+        }
+    }
 }
 
 impl Backward<'_> {
-    /// `dy` is the gradient by the output; `x`, norm(x) as kept, becomes the gradient by the input.
-    pub(super) fn run(mut self, dy: &[f32], x: &mut [f32]) {
-        let channels = self.sizes.channels;
-        let mut sums = vec![0.0; channels];
-        let mut products = vec![0.0; channels];
-        Arch::new().dispatch(|| {
-            for n in 0..self.sizes.samples {
-                self.sum(n, dy, x, &mut sums, &mut products);
-                if let Some((by_gain, by_shift)) = &mut self.parameters {
-                    add(&mut by_gain[..channels], &products);
-                    add(&mut by_shift[..channels], &sums);
-                }
-                for (c, gain) in self.gain[..channels].iter().enumerate() {
-                    sums[c] *= gain;
-                    products[c] *= gain;
-                }
-                let size = self.sizes.group_size();
-                let over = 1.0 / (self.sizes.length * size) as f32;
-                spread(&mut sums, size, |sum| sum * over);
-                spread(&mut products, size, |sum| sum * over);
-                self.write(n, x, &sums, &products);
-            }
-        });
+    pub(super) fn run(self) {
+        Arch::new().dispatch(self);
     }
 
     /// Turns the slopes into gradients by the Mish's input; sums them per channel, and their products with norm(x).
     #[inline(always)]
-    fn sum(&mut self, n: usize, dy: &[f32], x: &[f32], sums: &mut [f32], products: &mut [f32]) {
+    fn sum(&mut self, n: usize, sums: &mut [f32], products: &mut [f32]) {
         let channels = self.sizes.channels;
         let (sums, products) = (&mut sums[..channels], &mut products[..channels]);
         sums.fill(0.0);
         products.fill(0.0);
         for l in 0..self.sizes.length {
             let row = self.sizes.row(l, n);
-            let (dy, x) = (&dy[row..][..channels], &x[row..][..channels]);
+            let (dy, x) = (&self.dy[row..][..channels], &self.x[row..][..channels]);
             let slopes = &mut self.slopes[row..][..channels];
             for c in 0..channels {
                 let dz = dy[c] * slopes[c];
@@ -239,12 +270,12 @@ impl Backward<'_> {
     }
 
     #[inline(always)]
-    fn write(&mut self, n: usize, x: &mut [f32], means: &[f32], slants: &[f32]) {
+    fn write(&mut self, n: usize, means: &[f32], slants: &[f32]) {
         let (channels, size) = (self.sizes.channels, self.sizes.group_size());
         let scales = &self.scales[n * self.sizes.groups..][..self.sizes.groups];
         for l in 0..self.sizes.length {
             let row = self.sizes.row(l, n);
-            let x = &mut x[row..][..channels];
+            let x = &mut self.x[row..][..channels];
             let dz = &self.slopes[row..][..channels];
             let gain = &self.gain[..channels];
             for (group, &scale) in scales.iter().enumerate() {

@@ -206,11 +206,12 @@ fn add_tile<S: Simd, const VECTORS: usize>(
         let panel = &panel[run.output..][..run.rows];
         for (inputs, gradients) in strip.iter().zip(panel) {
             let (vectors, _) = S::as_simd_f32s(gradients);
-            let vectors: [S::f32s; VECTORS] = std::array::from_fn(|v| vectors[v]);
-            for (sums, input) in sums.iter_mut().zip(inputs) {
-                let input = simd.splat_f32s(*input);
+            let mut local = [simd.splat_f32s(0.0); VECTORS];
+            local.copy_from_slice(vectors);
+            for i in 0..STRIP {
+                let input = simd.splat_f32s(inputs[i]);
                 for v in 0..VECTORS {
-                    sums[v] = simd.mul_add_f32s(input, vectors[v], sums[v]);
+                    sums[i][v] = simd.mul_add_f32s(input, local[v], sums[i][v]);
                 }
             }
         }

@@ -134,23 +134,27 @@ impl<'a> Tile<'a> {
         let mut sums = [[simd.splat_f32s(0.0); VECTORS]; N];
         let column = self.panel * PANEL;
         let width = PANEL.min(product.outputs - column);
-        let starts = at.map(|(m, n)| {
+        // Loops, not closures over arrays: those would not become part of the vectorized function.
+        let mut starts = [0; N];
+        for i in 0..N {
+            let (m, n) = at[i];
             let position = self.pass.start + m * self.pass.step;
-            (position * product.samples + n) * product.outputs + column
-        });
+            starts[i] = (position * product.samples + n) * product.outputs + column;
+        }
         match product.start {
             Start::Zero => {}
             Start::Bias(bias) => {
                 let (bias, _) = S::as_simd_f32s(&bias[column..][..PANEL]);
-                let bias: [S::f32s; VECTORS] = std::array::from_fn(|v| bias[v]);
-                sums = [bias; N];
+                for i in 0..N {
+                    sums[i].copy_from_slice(bias);
+                }
             }
             Start::Output => {
                 for (sums, start) in sums.iter_mut().zip(starts) {
                     let mut row = [0.0; PANEL];
                     row[..width].copy_from_slice(&output[start..][..width]);
                     let (row, _) = S::as_simd_f32s(&row);
-                    *sums = std::array::from_fn(|v| row[v]);
+                    sums.copy_from_slice(row);
                 }
             }
         }
@@ -178,15 +182,16 @@ impl<'a> Tile<'a> {
     fn rows<const N: usize>(&self, at: &[(usize, usize); N], tap: Tap) -> Option<[&'a [f32]; N]> {
         let product = self.product;
         let mut any = false;
-        let rows = at.map(|(m, n)| match self.pass.reads(m, tap, product.length) {
-            Some(position) => {
+        let mut rows = [&product.zeros[..product.inputs]; N];
+        for i in 0..N {
+            let (m, n) = at[i];
+            if let Some(position) = self.pass.reads(m, tap, product.length) {
                 any = true;
                 let start = (position * product.samples + n) * product.inputs;
-                &product.input[start..][..product.inputs]
+                rows[i] = &product.input[start..][..product.inputs];
             }
-            None => &product.zeros[..product.inputs],
-        });
-        any.then_some(rows)
+        }
+        if any { Some(rows) } else { None }
     }
 }
 
@@ -202,7 +207,10 @@ fn accumulate<S: Simd, const N: usize, const VECTORS: usize>(
     let (weights, _) = S::as_simd_f32s(weights);
     let (weights, _) = weights.as_chunks::<VECTORS>();
     let weights = &weights[..depth];
-    let rows: [&[f32]; N] = std::array::from_fn(|i| &rows[i][..depth]);
+    let mut rows = *rows;
+    for i in 0..N {
+        rows[i] = &rows[i][..depth];
+    }
     let mut local = *sums;
     for c in 0..depth {
         let weight = weights[c];
