@@ -51,7 +51,7 @@ impl Case<'_> {
         format!("{} {} {of}", self.backend.name(), self.file.name)
     }
 
-    /// Outputs and, with the cotangent that `cotangent` makes of them, gradients by x.
+    /// Outputs and, with the cotangent that `cotangent` makes of them, gradients by x, of `together` windows at once.
     fn gradient(&self, net: &str, cotangent: impl Fn(&[f32]) -> Vec<f32>) -> (Vec<f32>, Vec<f32>) {
         let mut network = self.network(net, TimestepEmbedding::Integer);
         let (x, t) = (self.file.values("x"), self.file.values("t_long"));
@@ -61,6 +61,22 @@ impl Case<'_> {
         let cotangent = cotangent(&out);
         network.input_gradient(&cotangent, &mut gradient).unwrap();
         (out, gradient)
+    }
+
+    /// Gradients of the sum of the outputs, one window at a time.
+    fn gradients_alone(&self, net: &str) -> Vec<f32> {
+        let mut network = self.network(net, TimestepEmbedding::Integer);
+        let (x, t) = (self.file.values("x"), self.file.values("t_long"));
+        let mut gradient = vec![f32::NAN; x.len()];
+        let mut out = vec![f32::NAN; network.architecture().output_len()];
+        let len = x.len() / t.len();
+        let windows = x.chunks(len).zip(gradient.chunks_mut(len));
+        for (t, (x, gradient)) in t.iter().zip(windows) {
+            network.forward(x, &[*t], true, &mut out).unwrap();
+            let ones = vec![1.0; out.len()];
+            network.input_gradient(&ones, gradient).unwrap();
+        }
+        gradient
     }
 }
 
@@ -80,16 +96,18 @@ fn golden_forward_outputs() {
                 let mut network = case.network(net, embedding);
                 let t = file.values(t);
                 let expected = file.values(&format!("{net}_{out}"));
-                let mut found = vec![f32::NAN; expected.len()];
-                network
-                    .forward(file.values("x"), t, false, &mut found)
-                    .unwrap();
-                assert_close(
-                    &found,
-                    expected,
-                    FORWARD,
-                    &case.what(&format!("{net} {out}")),
-                );
+                let x = file.values("x");
+                // A backend may compute a single window otherwise than many.
+                for together in [t.len(), 1] {
+                    let mut found = vec![f32::NAN; expected.len()];
+                    let windows = x.chunks(x.len() / t.len() * together);
+                    let outputs = found.chunks_mut(expected.len() / t.len() * together);
+                    for ((x, t), out) in windows.zip(t.chunks(together)).zip(outputs) {
+                        network.forward(x, t, false, out).unwrap();
+                    }
+                    let what = case.what(&format!("{net} {out}, {together} at once"));
+                    assert_close(&found, expected, FORWARD, &what);
+                }
             }
         }
     });
@@ -106,6 +124,9 @@ fn golden_forward_input_gradients() {
         for net in ["reward", "rnd_pred", "rnd_target"] {
             let (_, gradient) = case.gradient(net, |out| vec![1.0; out.len()]);
             let expected = file.values(&format!("{net}_grad_x_of_sum"));
+            let alone = case.gradients_alone(net);
+            let what = case.what(&format!("{net} gradient of single windows"));
+            assert_close(&alone, expected, GRADIENT, &what);
             assert_close(
                 &gradient,
                 expected,

@@ -56,6 +56,17 @@ fn architectures() -> Vec<Architecture> {
             kernel_size: 3,
             embedding,
         }),
+        // Channels and lengths that are computed by Winograd, widths 3 and 5, in some of its layers.
+        Architecture::HalfJanner(HalfJannerConfig {
+            horizon: 8,
+            width: 6,
+            out_dim: 2,
+            model_dim: 64,
+            embedding_dim: 8,
+            dim_mult: vec![1, 2],
+            kernel_size: 3,
+            embedding,
+        }),
         Architecture::Mlp(MlpConfig {
             in_dim: 9,
             hidden: vec![20, 7],

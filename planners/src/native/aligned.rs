@@ -33,6 +33,14 @@ impl Aligned {
         self.numbers.len() - self.start
     }
 
+    /// Has `len` numbers from now on, whatever they are, in a new place if this one is too small.
+    pub(super) fn grow(&mut self, len: usize) {
+        if self.capacity() < len {
+            *self = Self::zeros(len);
+        }
+        self.set_len(len);
+    }
+
     /// Has `len` numbers from now on, at most its capacity; whatever they are.
     pub(super) fn set_len(&mut self, len: usize) {
         self.len = len.min(self.capacity());

@@ -4,7 +4,7 @@ use super::chunk::{Chunk, Keep, Kept};
 use super::forward::{Model, from_positions, to_positions};
 use super::norm;
 use super::plan::{Block, Step};
-use super::product::{Product, Start};
+use super::product::Start;
 
 /// The way back of one chunk.
 struct Backward<'a> {
@@ -123,19 +123,10 @@ impl Backward<'_> {
             ),
         };
         let mut output = self.chunk.lend(out);
-        Product {
-            input: self.chunk.read(gradient),
-            length: layer.output_length(),
-            samples,
-            inputs: layer.outputs,
-            outputs: layer.inputs,
-            weights: &self.model.transposed[layer.transposed..][..layer.n_transposed()],
-            taps: layer.kind.taps(),
-            passes: &layer.backward,
-            start,
-            zeros: self.model.zeros,
-        }
-        .write(&mut output);
+        let mut room = std::mem::take(&mut self.chunk.room);
+        let numbers = self.chunk.read(gradient);
+        self.model.apply_back(layer, (samples, start), numbers, &mut room, &mut output);
+        self.chunk.room = room;
         self.chunk.put_back(out, output);
         out
     }

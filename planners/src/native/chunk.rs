@@ -1,6 +1,7 @@
 //! The samples that go through a network together, and their buffers.
 
 use super::aligned::Aligned;
+use super::winograd::Room;
 
 /// What a forward pass keeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,6 +58,7 @@ pub(super) struct Chunk {
     pub(super) gradients: Vec<Option<usize>>,
     /// Slopes of the two Mishes of the time network.
     pub(super) time_slopes: Vec<usize>,
+    pub(super) room: Room,
     /// Gradients by the parameters of all norms.
     pub(super) norm_gradients: Vec<f32>,
 }

@@ -6,15 +6,19 @@ use super::chunk::{Chunk, Keep, Kept, Times};
 use super::mish;
 use super::norm::{self, Plus};
 use super::plan::{Block, Layer, Plan, Step, Time};
+use super::prepared::Prepared;
 use super::product::{Product, Start};
+use super::winograd::{Room, Winograd};
 
 /// A network's numbers.
 #[derive(Clone, Copy)]
 pub(super) struct Model<'a> {
     pub(super) plan: &'a Plan,
     pub(super) parameters: &'a [f32],
-    pub(super) transposed: &'a [f32],
-    /// As many zeros as the widest layer has inputs or outputs.
+    pub(super) prepared: &'a Prepared,
+    /// Layers for Winograd are computed by it.
+    pub(super) winograd: bool,
+    /// As many zeros as a chunk has numbers in one position at most.
     pub(super) zeros: &'a [f32],
 }
 
@@ -121,9 +125,10 @@ impl Forward<'_> {
             .chunk
             .take(layer.output_length() * samples * layer.outputs);
         let mut output = self.chunk.lend(out);
-        self.model
-            .product(layer, samples, self.chunk.read(input))
-            .write(&mut output);
+        let mut room = std::mem::take(&mut self.chunk.room);
+        let numbers = self.chunk.read(input);
+        self.model.apply(layer, samples, numbers, &mut room, &mut output);
+        self.chunk.room = room;
         self.chunk.put_back(out, output);
         if self.keep == Keep::All {
             self.chunk.hold(input);
@@ -294,19 +299,73 @@ impl Forward<'_> {
     }
 }
 
-impl<'a> Model<'a> {
-    fn product(self, layer: &'a Layer, samples: usize, input: &'a [f32]) -> Product<'a> {
-        Product {
-            input,
-            length: layer.length,
-            samples,
-            inputs: layer.inputs,
-            outputs: layer.outputs,
-            weights: &self.parameters[layer.weights..][..layer.n_weights()],
-            taps: layer.kind.taps(),
-            passes: &layer.forward,
-            start: Start::Bias(&self.parameters[layer.bias..]),
-            zeros: self.zeros,
+impl Model<'_> {
+    fn apply(self, layer: &Layer, samples: usize, input: &[f32], room: &mut Room, output: &mut [f32]) {
+        let start = Start::Bias(&self.parameters[layer.bias..]);
+        match &layer.winograd {
+            Some(transformed) if self.winograd => Winograd {
+                input,
+                length: layer.length,
+                samples,
+                inputs: layer.inputs,
+                outputs: layer.outputs,
+                weights: &self.prepared.forward()[transformed.start..],
+                points: transformed.points,
+                start,
+                zeros: self.zeros,
+            }
+            .write(room, output),
+            _ => Product {
+                input,
+                length: layer.length,
+                samples,
+                inputs: layer.inputs,
+                outputs: layer.outputs,
+                weights: &self.parameters[layer.weights..][..layer.n_weights()],
+                taps: layer.kind.taps(),
+                passes: &layer.forward,
+                start,
+                zeros: self.zeros,
+            }
+            .write(output),
+        }
+    }
+
+    /// From the gradient by a layer's output to the one by its input.
+    pub(super) fn apply_back(
+        self,
+        layer: &Layer,
+        (samples, start): (usize, Start<'_>),
+        input: &[f32],
+        room: &mut Room,
+        output: &mut [f32],
+    ) {
+        match &layer.winograd {
+            Some(transformed) if self.winograd => Winograd {
+                input,
+                length: layer.length,
+                samples,
+                inputs: layer.outputs,
+                outputs: layer.inputs,
+                weights: &self.prepared.backward()[transformed.start..],
+                points: transformed.points,
+                start,
+                zeros: self.zeros,
+            }
+            .write(room, output),
+            _ => Product {
+                input,
+                length: layer.output_length(),
+                samples,
+                inputs: layer.outputs,
+                outputs: layer.inputs,
+                weights: &self.prepared.transposed()[layer.transposed..][..layer.n_transposed()],
+                taps: layer.kind.taps(),
+                passes: &layer.backward,
+                start,
+                zeros: self.zeros,
+            }
+            .write(output),
         }
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! Samples go through a network in chunks, which are what threads share out. In a chunk activations lie as
 //! `[position][sample][channel]`: see [`product`]. Every number is summed in an order that depends neither on the
-//! samples beside it nor on the number of threads, and gradients by weights are added chunk by chunk.
+//! samples beside it nor on the number of threads, and gradients by weights are added chunk by chunk. Only whether a
+//! call has fewer than four windows makes a difference, in the last digits: see [`winograd`].
 
 mod adam;
 mod aligned;
@@ -16,9 +17,11 @@ mod norm;
 mod outer;
 mod parameters;
 mod plan;
+mod prepared;
 mod product;
 mod training;
 mod unet;
+mod winograd;
 
 use crate::error::PlannerError;
 use crate::nets::{Architecture, Backend, Network, TrainableNetwork, TrainingState, Weights};

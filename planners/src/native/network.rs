@@ -9,6 +9,8 @@ use super::chunk::{Chunk, Keep, Times};
 use super::forward::Model;
 use super::parameters;
 use super::plan::Plan;
+use super::prepared::Prepared;
+use super::winograd::LEAST_SAMPLES;
 use crate::error::PlannerError;
 use crate::nets::{Architecture, Network, Weights};
 
@@ -24,7 +26,7 @@ pub(super) struct NativeNetwork {
     architecture: Architecture,
     pub(super) plan: Plan,
     pub(super) parameters: Aligned,
-    pub(super) transposed: Aligned,
+    prepared: Prepared,
     zeros: Vec<f32>,
     pub(super) chunks: Vec<Chunk>,
     /// For the times that all samples of a call have.
@@ -51,8 +53,6 @@ impl NativeNetwork {
         architecture.check_weights(weights)?;
         let plan = Plan::new(architecture);
         let parameters = parameters::gather(&plan, weights)?;
-        let mut transposed = Aligned::zeros(plan.n_transposed);
-        parameters::transpose(&plan, &parameters, &mut transposed);
         let widest = plan
             .layers
             .iter()
@@ -60,10 +60,10 @@ impl NativeNetwork {
             .max();
         Ok(Self {
             architecture: architecture.clone(),
-            zeros: vec![0.0; widest.unwrap_or(0)],
+            zeros: vec![0.0; CHUNK * widest.unwrap_or(0)],
             plan,
             parameters,
-            transposed,
+            prepared: Prepared::default(),
             chunks: Vec::new(),
             time_chunk: Chunk::default(),
             times: Vec::new(),
@@ -95,7 +95,7 @@ impl NativeNetwork {
 
     /// After the parameters have changed: weights for the way back and times anew.
     pub(super) fn refresh(&mut self) {
-        parameters::transpose(&self.plan, &self.parameters, &mut self.transposed);
+        self.prepared.refresh(&self.plan, &self.parameters);
         self.times.clear();
         self.kept = None;
     }
@@ -123,10 +123,14 @@ impl NativeNetwork {
             }
             _ => None,
         };
+        let winograd = t.len() >= LEAST_SAMPLES;
+        let (plan, back) = (&self.plan, keep != Keep::Nothing);
+        self.prepared.need(plan, &self.parameters, back, winograd);
         let model = Model {
-            plan: &self.plan,
+            plan,
             parameters: &self.parameters,
-            transposed: &self.transposed,
+            prepared: &self.prepared,
+            winograd,
             zeros: &self.zeros,
         };
         let n_chunks = t.len().div_ceil(size);
@@ -171,7 +175,8 @@ impl NativeNetwork {
         let model = Model {
             plan: &self.plan,
             parameters: &self.parameters,
-            transposed: &self.transposed,
+            prepared: &self.prepared,
+            winograd: false,
             zeros: &self.zeros,
         };
         self.time_chunk.reset(1, self.plan.layers.len());
@@ -194,7 +199,8 @@ impl NativeNetwork {
         let model = Model {
             plan: &self.plan,
             parameters: &self.parameters,
-            transposed: &self.transposed,
+            prepared: &self.prepared,
+            winograd: kept.samples >= LEAST_SAMPLES,
             zeros: &self.zeros,
         };
         let n_chunks = kept.samples.div_ceil(kept.chunk);

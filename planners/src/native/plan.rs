@@ -3,6 +3,7 @@
 use super::geometry::{self, Kind, Pass};
 use super::norm::Sizes;
 use super::product::{PANEL, n_panels};
+use super::winograd;
 use crate::nets::{Architecture, TimestepEmbedding};
 
 /// A convolution or a linear layer. Offsets are into the parameters, which a whole network has in one piece.
@@ -21,6 +22,15 @@ pub(super) struct Layer {
     pub(super) transposed: usize,
     pub(super) forward: Vec<Pass>,
     pub(super) backward: Vec<Pass>,
+    /// If it can be computed by Winograd.
+    pub(super) winograd: Option<Transformed>,
+}
+
+/// Where a layer's transformed weights lie, in a piece of their own for either way.
+#[derive(Debug)]
+pub(super) struct Transformed {
+    pub(super) points: usize,
+    pub(super) start: usize,
 }
 
 impl Layer {
@@ -148,6 +158,8 @@ pub(super) struct Plan {
     pub(super) norms_start: usize,
     /// Numbers in all weights for the way back.
     pub(super) n_transposed: usize,
+    /// Numbers in all weights for Winograd, one way.
+    pub(super) n_winograd: usize,
     /// Positions and channels of the input and of the output.
     pub(super) input: (usize, usize),
     pub(super) output: (usize, usize),
@@ -162,6 +174,7 @@ pub(super) struct Builder {
     places: Vec<Place>,
     n_weights: usize,
     n_transposed: usize,
+    n_winograd: usize,
     /// Names of norms, whose parameters come after the weights of all layers.
     norm_names: Vec<String>,
     /// Names of the blocks' time layers, and their outputs.
@@ -210,7 +223,15 @@ impl Builder {
             transposed: self.n_transposed,
             forward: geometry::forward(kind, length),
             backward: geometry::backward(kind, length),
+            winograd: None,
         };
+        layer.winograd = winograd::n_points(&layer).map(|points| Transformed {
+            points,
+            start: self.n_winograd,
+        });
+        if let Some(winograd) = &layer.winograd {
+            self.n_winograd += winograd.points * inputs * outputs;
+        }
         layer.bias = layer.weights + layer.n_weights();
         self.n_weights = layer.bias + n_panels(outputs) * PANEL;
         self.n_transposed += layer.n_transposed();
@@ -339,6 +360,7 @@ impl Builder {
             n_parameters: end,
             norms_start,
             n_transposed: self.n_transposed,
+            n_winograd: self.n_winograd,
             input,
             output,
         }

@@ -1,0 +1,99 @@
+//! Weights in the further forms that some ways of computing take, made when first needed.
+
+use rayon::prelude::*;
+
+use super::aligned::Aligned;
+use super::parameters;
+use super::plan::Plan;
+use super::winograd::transform_weights;
+
+/// Weights in other forms.
+#[derive(Debug, Default)]
+pub(super) struct Prepared {
+    /// For the way back.
+    transposed: Option<Aligned>,
+    /// Winograd's.
+    forward: Option<Aligned>,
+    /// Winograd's for the way back.
+    backward: Option<Aligned>,
+}
+
+impl Prepared {
+    /// Makes what is missing for a pass with a way `back` or without, by Winograd or not.
+    pub(super) fn need(&mut self, plan: &Plan, parameters: &[f32], back: bool, winograd: bool) {
+        if back && self.transposed.is_none() {
+            let mut transposed = Aligned::zeros(plan.n_transposed);
+            parameters::transpose(plan, parameters, &mut transposed);
+            self.transposed = Some(transposed);
+        }
+        if winograd && self.forward.is_none() {
+            let mut forward = Aligned::zeros(plan.n_winograd);
+            fill_forward(plan, parameters, &mut forward);
+            self.forward = Some(forward);
+        }
+        if back && winograd && self.backward.is_none() {
+            let mut backward = Aligned::zeros(plan.n_winograd);
+            fill_backward(plan, self.transposed(), &mut backward);
+            self.backward = Some(backward);
+        }
+    }
+
+    /// Makes what there is anew, of other weights.
+    pub(super) fn refresh(&mut self, plan: &Plan, parameters: &[f32]) {
+        if let Some(transposed) = &mut self.transposed {
+            parameters::transpose(plan, parameters, transposed);
+        }
+        if let Some(forward) = &mut self.forward {
+            fill_forward(plan, parameters, forward);
+        }
+        if let (Some(backward), Some(transposed)) = (&mut self.backward, &self.transposed) {
+            fill_backward(plan, transposed, backward);
+        }
+    }
+
+    /// Empty if it was not needed so far.
+    pub(super) fn transposed(&self) -> &[f32] {
+        self.transposed.as_deref().unwrap_or_default()
+    }
+
+    pub(super) fn forward(&self) -> &[f32] {
+        self.forward.as_deref().unwrap_or_default()
+    }
+
+    pub(super) fn backward(&self) -> &[f32] {
+        self.backward.as_deref().unwrap_or_default()
+    }
+}
+
+fn fill_forward(plan: &Plan, parameters: &[f32], transformed: &mut [f32]) {
+    each_layer(plan, transformed, |index, piece| {
+        let layer = &plan.layers[index];
+        let weights = &parameters[layer.weights..][..layer.n_weights()];
+        let sizes = (layer.kind.taps(), layer.inputs, layer.outputs);
+        transform_weights(weights, sizes, false, piece);
+    });
+}
+
+fn fill_backward(plan: &Plan, transposed: &[f32], transformed: &mut [f32]) {
+    each_layer(plan, transformed, |index, piece| {
+        let layer = &plan.layers[index];
+        let weights = &transposed[layer.transposed..][..layer.n_transposed()];
+        let sizes = (layer.kind.taps(), layer.outputs, layer.inputs);
+        transform_weights(weights, sizes, true, piece);
+    });
+}
+
+/// Calls `fill` with the number of every layer for Winograd and its piece.
+fn each_layer(plan: &Plan, transformed: &mut [f32], fill: impl Fn(usize, &mut [f32]) + Sync) {
+    let mut rest = transformed;
+    let mut pieces = Vec::new();
+    for (index, layer) in plan.layers.iter().enumerate() {
+        if let Some(winograd) = &layer.winograd {
+            let len = winograd.points * layer.inputs * layer.outputs;
+            let (piece, after) = rest.split_at_mut(len);
+            pieces.push((index, piece));
+            rest = after;
+        }
+    }
+    pieces.into_par_iter().for_each(|(index, piece)| fill(index, piece));
+}
