@@ -125,7 +125,8 @@ impl Backward<'_> {
         let mut output = self.chunk.lend(out);
         let mut room = std::mem::take(&mut self.chunk.room);
         let numbers = self.chunk.read(gradient);
-        self.model.apply_back(layer, (samples, start), numbers, &mut room, &mut output);
+        self.model
+            .apply_back(layer, (samples, start), numbers, &mut room, &mut output);
         self.chunk.room = room;
         self.chunk.put_back(out, output);
         out

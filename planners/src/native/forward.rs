@@ -127,7 +127,8 @@ impl Forward<'_> {
         let mut output = self.chunk.lend(out);
         let mut room = std::mem::take(&mut self.chunk.room);
         let numbers = self.chunk.read(input);
-        self.model.apply(layer, samples, numbers, &mut room, &mut output);
+        self.model
+            .apply(layer, samples, numbers, &mut room, &mut output);
         self.chunk.room = room;
         self.chunk.put_back(out, output);
         if self.keep == Keep::All {
@@ -300,7 +301,14 @@ impl Forward<'_> {
 }
 
 impl Model<'_> {
-    fn apply(self, layer: &Layer, samples: usize, input: &[f32], room: &mut Room, output: &mut [f32]) {
+    fn apply(
+        self,
+        layer: &Layer,
+        samples: usize,
+        input: &[f32],
+        room: &mut Room,
+        output: &mut [f32],
+    ) {
         let start = Start::Bias(&self.parameters[layer.bias..]);
         match &layer.winograd {
             Some(transformed) if self.winograd => Winograd {

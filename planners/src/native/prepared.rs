@@ -95,5 +95,7 @@ fn each_layer(plan: &Plan, transformed: &mut [f32], fill: impl Fn(usize, &mut [f
             rest = after;
         }
     }
-    pieces.into_par_iter().for_each(|(index, piece)| fill(index, piece));
+    pieces
+        .into_par_iter()
+        .for_each(|(index, piece)| fill(index, piece));
 }

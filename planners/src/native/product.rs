@@ -9,7 +9,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::geometry::{Pass, Tap};
+use super::geometry::Pass;
 
 /// Outputs in a panel of weights.
 pub(super) const PANEL: usize = 16;
@@ -86,19 +86,22 @@ impl WithSimd for Run<'_> {
 fn run<S: Simd, const VECTORS: usize>(simd: S, run: Run<'_>) {
     let Run { product, output } = run;
     let depth = product.taps * product.inputs * PANEL;
-    for (panel, weights) in product.weights.chunks_exact(depth).enumerate() {
-        for pass in product.passes {
-            let rows = pass.count * product.samples;
-            let n_tiles = rows.div_ceil(ROWS);
+    let mut rows = Vec::new();
+    for pass in product.passes {
+        product.rows(pass, &mut rows);
+        let stride = pass.taps.len() + 1;
+        let n_rows = pass.count * product.samples;
+        let n_tiles = n_rows.div_ceil(ROWS);
+        for (panel, weights) in product.weights.chunks_exact(depth).enumerate() {
             for tile in 0..n_tiles {
                 // Tiles as even as can be: no row is left over to run through the weights alone.
-                let (first, end) = (tile * rows / n_tiles, (tile + 1) * rows / n_tiles);
+                let (first, end) = (tile * n_rows / n_tiles, (tile + 1) * n_rows / n_tiles);
                 let tile = Tile {
                     product,
                     pass,
                     weights,
                     panel,
-                    first,
+                    rows: &rows[first * stride..end * stride],
                 };
                 match end - first {
                     1 => tile.run::<S, 1, VECTORS>(simd, output),
@@ -113,33 +116,63 @@ fn run<S: Simd, const VECTORS: usize>(simd: S, run: Run<'_>) {
     }
 }
 
+/// Where no input row is read.
+const NOWHERE: usize = usize::MAX;
+
+impl Product<'_> {
+    /// For every row of a pass where its output starts and, tap by tap, where the input row starts.
+    fn rows(&self, pass: &Pass, rows: &mut Vec<usize>) {
+        rows.clear();
+        for m in 0..pass.count {
+            let output = (pass.start + m * pass.step) * self.samples;
+            let first = rows.len();
+            rows.push(output * self.outputs);
+            for tap in &pass.taps {
+                let position = pass.reads(m, *tap, self.length);
+                rows.push(position.map_or(NOWHERE, |p| p * self.samples * self.inputs));
+            }
+            for n in 1..self.samples {
+                for at in first..first + pass.taps.len() + 1 {
+                    let step = if at == first {
+                        self.outputs
+                    } else {
+                        self.inputs
+                    };
+                    let start = rows[at];
+                    rows.push(if start == NOWHERE {
+                        start
+                    } else {
+                        start + n * step
+                    });
+                }
+            }
+        }
+    }
+}
+
 /// Some rows of a pass times a panel.
 struct Tile<'a> {
     product: &'a Product<'a>,
     pass: &'a Pass,
     weights: &'a [f32],
     panel: usize,
-    first: usize,
+    /// As [`Product::rows`] has them.
+    rows: &'a [usize],
 }
 
+// Loops, not closures over arrays: those would not become part of the vectorized function.
+#[expect(clippy::needless_range_loop, reason = "several arrays at a time")]
 impl<'a> Tile<'a> {
     #[inline(always)]
     fn run<S: Simd, const N: usize, const VECTORS: usize>(&self, simd: S, output: &mut [f32]) {
         let product = self.product;
-        let mut at = [(0, 0); N];
-        for (i, at) in at.iter_mut().enumerate() {
-            let row = self.first + i;
-            *at = (row / product.samples, row % product.samples);
-        }
-        let mut sums = [[simd.splat_f32s(0.0); VECTORS]; N];
+        let stride = self.pass.taps.len() + 1;
         let column = self.panel * PANEL;
+        let mut sums = [[simd.splat_f32s(0.0); VECTORS]; N];
         let width = PANEL.min(product.outputs - column);
-        // Loops, not closures over arrays: those would not become part of the vectorized function.
         let mut starts = [0; N];
         for i in 0..N {
-            let (m, n) = at[i];
-            let position = self.pass.start + m * self.pass.step;
-            starts[i] = (position * product.samples + n) * product.outputs + column;
+            starts[i] = self.rows[i * stride] + column;
         }
         match product.start {
             Start::Zero => {}
@@ -150,44 +183,44 @@ impl<'a> Tile<'a> {
                 }
             }
             Start::Output => {
-                for (sums, start) in sums.iter_mut().zip(starts) {
+                for i in 0..N {
                     let mut row = [0.0; PANEL];
-                    row[..width].copy_from_slice(&output[start..][..width]);
+                    row[..width].copy_from_slice(&output[starts[i]..][..width]);
                     let (row, _) = S::as_simd_f32s(&row);
-                    sums.copy_from_slice(row);
+                    sums[i].copy_from_slice(row);
                 }
             }
         }
-        for &tap in &self.pass.taps {
-            if let Some(rows) = self.rows(&at, tap) {
+        for (index, tap) in self.pass.taps.iter().enumerate() {
+            if let Some(rows) = self.inputs(index) {
                 let depth = product.inputs * PANEL;
                 let weights = &self.weights[tap.weight * depth..][..depth];
                 accumulate::<S, N, VECTORS>(simd, &rows, weights, &mut sums);
             }
         }
-        for (sums, start) in sums.iter().zip(starts) {
+        for i in 0..N {
             if width == PANEL {
-                let (row, _) = S::as_mut_simd_f32s(&mut output[start..][..PANEL]);
-                row.copy_from_slice(sums);
+                let (row, _) = S::as_mut_simd_f32s(&mut output[starts[i]..][..PANEL]);
+                row.copy_from_slice(&sums[i]);
             } else {
                 let mut row = [0.0; PANEL];
-                S::as_mut_simd_f32s(&mut row).0.copy_from_slice(sums);
-                output[start..][..width].copy_from_slice(&row[..width]);
+                S::as_mut_simd_f32s(&mut row).0.copy_from_slice(&sums[i]);
+                output[starts[i]..][..width].copy_from_slice(&row[..width]);
             }
         }
     }
 
     /// The rows that a tap reads; none if all of them lie outside of the input.
     #[inline(always)]
-    fn rows<const N: usize>(&self, at: &[(usize, usize); N], tap: Tap) -> Option<[&'a [f32]; N]> {
+    fn inputs<const N: usize>(&self, tap: usize) -> Option<[&'a [f32]; N]> {
         let product = self.product;
+        let stride = self.pass.taps.len() + 1;
         let mut any = false;
         let mut rows = [&product.zeros[..product.inputs]; N];
         for i in 0..N {
-            let (m, n) = at[i];
-            if let Some(position) = self.pass.reads(m, tap, product.length) {
+            let start = self.rows[i * stride + 1 + tap];
+            if start != NOWHERE {
                 any = true;
-                let start = (position * product.samples + n) * product.inputs;
                 rows[i] = &product.input[start..][..product.inputs];
             }
         }
@@ -196,6 +229,7 @@ impl<'a> Tile<'a> {
 }
 
 /// sums\[i\] += Σ over inputs c of rows\[i\]\[c\]·weights\[c\].
+#[expect(clippy::needless_range_loop, reason = "several arrays at a time")]
 #[inline(always)]
 fn accumulate<S: Simd, const N: usize, const VECTORS: usize>(
     simd: S,

@@ -39,9 +39,9 @@ const GROUP_ROWS: usize = 32;
 pub(super) fn n_points(layer: &Layer) -> Option<usize> {
     let fits = |channels: usize| channels >= LEAST_CHANNELS && channels.is_multiple_of(PANEL);
     match layer.kind {
-        Kind::Same { taps: taps @ (3 | 5) }
-            if layer.length.is_multiple_of(TILE) && fits(layer.inputs) && fits(layer.outputs) =>
-        {
+        Kind::Same {
+            taps: taps @ (3 | 5),
+        } if layer.length.is_multiple_of(TILE) && fits(layer.inputs) && fits(layer.outputs) => {
             Some(taps + TILE - 1)
         }
         _ => None,
@@ -208,7 +208,9 @@ pub(super) fn transform_weights(
     let len = depth * PANEL;
     let panels = n_panels(outputs);
     for panel in 0..panels {
-        let mut from: Vec<&[f32]> = weights[panel * taps * len..][..taps * len].chunks_exact(len).collect();
+        let mut from: Vec<&[f32]> = weights[panel * taps * len..][..taps * len]
+            .chunks_exact(len)
+            .collect();
         if reversed {
             from.reverse();
         }
@@ -281,7 +283,11 @@ impl Transform<'_, '_> {
             let results = F::apply::<S>(Vectors { simd }, vectors);
             for i in 0..TO {
                 let to = &mut S::as_mut_simd_f32s(&mut self.to[i][..len]).0[at];
-                *to = if F::ADDS { simd.add_f32s(*to, results[i]) } else { results[i] };
+                *to = if F::ADDS {
+                    simd.add_f32s(*to, results[i])
+                } else {
+                    results[i]
+                };
             }
         }
     }
@@ -317,8 +323,16 @@ struct InputsOf5;
 impl Formula<8, 8> for InputsOf5 {
     #[inline(always)]
     fn apply<S: Simd>(v: Vectors<S>, d: [S::f32s; 8]) -> [S::f32s; 8] {
-        let first = v.plus(5.25, v.simd.sub_f32s(d[2], d[4]), v.simd.sub_f32s(d[6], d[0]));
-        let last = v.plus(5.25, v.simd.sub_f32s(d[3], d[5]), v.simd.sub_f32s(d[7], d[1]));
+        let first = v.plus(
+            5.25,
+            v.simd.sub_f32s(d[2], d[4]),
+            v.simd.sub_f32s(d[6], d[0]),
+        );
+        let last = v.plus(
+            5.25,
+            v.simd.sub_f32s(d[3], d[5]),
+            v.simd.sub_f32s(d[7], d[1]),
+        );
         let one = v.pair(
             v.plus(-4.25, d[4], v.simd.add_f32s(d[2], d[6])),
             v.plus(-4.25, d[3], v.simd.add_f32s(d[1], d[5])),
@@ -380,7 +394,10 @@ impl Formula<3, 6> for WeightsOf3 {
     #[inline(always)]
     fn apply<S: Simd>(v: Vectors<S>, g: [S::f32s; 3]) -> [S::f32s; 6] {
         let sixth = -1.0 / 6.0;
-        let one = v.pair(v.scale(sixth, v.simd.add_f32s(g[0], g[2])), v.scale(sixth, g[1]));
+        let one = v.pair(
+            v.scale(sixth, v.simd.add_f32s(g[0], g[2])),
+            v.scale(sixth, g[1]),
+        );
         let two = v.pair(
             v.scale(1.0 / 24.0, v.plus(4.0, g[2], g[0])),
             v.scale(1.0 / 12.0, g[1]),
@@ -402,7 +419,11 @@ impl Formula<8, 4> for ProductsOf5 {
             v.simd.add_f32s(m[0], sums),
             v.plus(0.5, half.1, v.plus(2.0, two.1, one.1)),
             v.plus(0.25, half.0, v.plus(4.0, two.0, one.0)),
-            v.plus(0.125, half.1, v.plus(8.0, two.1, v.simd.add_f32s(one.1, m[7]))),
+            v.plus(
+                0.125,
+                half.1,
+                v.plus(8.0, two.1, v.simd.add_f32s(one.1, m[7])),
+            ),
         ]
     }
 }
@@ -431,7 +452,8 @@ mod tests {
     /// Four outputs of one channel, against the sum.
     fn check<const TAPS: usize>(tolerance: f32) {
         let len = PANEL;
-        let number = |seed: usize| (0..len).map(move |i| ((seed * 31 + i * 7) % 97) as f32 / 97.0 - 0.4);
+        let number =
+            |seed: usize| (0..len).map(move |i| ((seed * 31 + i * 7) % 97) as f32 / 97.0 - 0.4);
         let points = TAPS + TILE - 1;
         let weights: Vec<Vec<f32>> = (0..TAPS).map(|k| number(k + 50).collect()).collect();
         let inputs: Vec<Vec<f32>> = (0..points).map(|j| number(j).collect()).collect();
@@ -450,8 +472,9 @@ mod tests {
         let u = transform(Which::Weights, &weights, points);
         let v = transform(Which::Inputs, &inputs, points);
         let pairs = u.iter().zip(&v);
-        let products: Vec<Vec<f32>> =
-            pairs.map(|(u, v)| u.iter().zip(v).map(|(u, v)| u * v).collect()).collect();
+        let products: Vec<Vec<f32>> = pairs
+            .map(|(u, v)| u.iter().zip(v).map(|(u, v)| u * v).collect())
+            .collect();
         let outputs = transform(Which::Products, &products, TILE);
         for (l, output) in outputs.iter().enumerate() {
             for (i, output) in output.iter().enumerate() {
