@@ -268,14 +268,17 @@ trait Formula<const FROM: usize, const TO: usize> {
 }
 
 impl Transform<'_, '_> {
+    // Loops, not closures over arrays: those would not become part of the vectorized function.
+    #[expect(clippy::needless_range_loop, reason = "several arrays at a time")]
     #[inline(always)]
     fn rows<S: Simd, const FROM: usize, const TO: usize, F: Formula<FROM, TO>>(self, simd: S) {
         let len = self.to[0].len();
+        let n = len / S::F32_LANES;
         let mut from: [&[S::f32s]; FROM] = [&[]; FROM];
         for i in 0..FROM {
-            from[i] = S::as_simd_f32s(&self.from[i][..len]).0;
+            from[i] = &S::as_simd_f32s(&self.from[i][..len]).0[..n];
         }
-        for at in 0..len / S::F32_LANES {
+        for at in 0..n {
             let mut vectors = [simd.splat_f32s(0.0); FROM];
             for i in 0..FROM {
                 vectors[i] = from[i][at];
