@@ -144,8 +144,8 @@ fn cpu() -> Config {
     let mut config = mujoco.unwrap_or_else(|| unreachable!("a preset of the list"));
     config.data.horizon = 16;
     config.networks.dim_mult = vec![1, 2, 2];
-    config.diffusion.n_updates = 40_000;
-    config.diffusion.batch_size = 64;
+    config.diffusion.n_updates = 50_000;
+    config.diffusion.batch_size = 32;
     config.diffusion.learning_rate = 5e-4;
     // The average must forget its start within a training this short.
     config.diffusion.ema_rate = 0.999;
@@ -153,7 +153,7 @@ fn cpu() -> Config {
     config.reward.learning_rate = 5e-4;
     config.planning.sampling_steps = 10;
     config.planning.n_candidates = 8;
-    config.planning.guidance_weight = 1e-3;
+    config.planning.guidance_weight = 1e-4;
     config.checkpoint_interval = 1000;
     config
 }
@@ -166,7 +166,7 @@ fn cpu_antmaze() -> Config {
     config.networks.embedding_dim = 32;
     config.networks.dim_mult = vec![1, 2, 2];
     config.diffusion.n_updates = 60_000;
-    config.diffusion.batch_size = 64;
+    config.diffusion.batch_size = 32;
     config.diffusion.learning_rate = 5e-4;
     config.diffusion.ema_rate = 0.999;
     config.reward.interval = 2;

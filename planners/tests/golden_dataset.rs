@@ -1,5 +1,7 @@
 //! Windows, values and statistics of mode reference against those of the reference's datasets.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
 mod support;
 
 use std::collections::BTreeMap;

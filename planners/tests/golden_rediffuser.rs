@@ -1,5 +1,8 @@
 //! ReDiffuser's confidence and choice against recorded ones.
 
+#![cfg(feature = "native")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
 mod support;
 
 use std::collections::BTreeMap;

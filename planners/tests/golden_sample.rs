@@ -1,5 +1,8 @@
 //! Guided sampling of mode reference with recorded noise, step by step.
 
+#![cfg(feature = "native")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
 mod support;
 
 use ksim_planners::config::{Mode, Solver};

@@ -1,5 +1,7 @@
 //! The schedule and the sampling table of mode reference against recorded constants.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
 mod support;
 
 use ksim_planners::config::{Mode, Solver};

@@ -1,9 +1,12 @@
 //! Ten updates of each network from recorded batches, timesteps and noise: losses, rates and final weights.
 
+#![cfg(feature = "native")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
 mod support;
 
 use ksim_planners::diffusion::{
-    Noised, Schedule, diffusion_loss, novelty_loss, paired_loss, value_loss,
+    DiffusionLoss, Noised, Schedule, novelty_loss, paired_loss, value_loss,
 };
 use ksim_planners::model::network;
 use ksim_planners::nets::{Backend, TimestepEmbedding, TrainingState, Weights};
@@ -46,8 +49,10 @@ fn learner(folder: &Folder, file: &File, name: &str, backend: &dyn Backend) -> L
         backend,
         &architecture,
         state,
-        rate,
-        Rate::Cosine(N_COSINE),
+        Rate::Cosine {
+            first: rate,
+            n_updates: N_COSINE,
+        },
     )
     .unwrap();
     let learner = learner.average(file.entry["traces"][name]["ema_rate"].as_f64().unwrap());
@@ -92,9 +97,14 @@ fn trace(folder: &Folder, file: &File, name: &str, backend: &dyn Backend) {
                 .forward(&noised.x, &noised.t, false, &mut fixed)
                 .unwrap();
         }
-        let dims = (observation_dim, shape[3]);
+        let diffusion = DiffusionLoss {
+            window_len,
+            observation_dim,
+            width: shape[3],
+            action_weight: 10.0,
+        };
         let update = learner.update(&noised.x, &noised.t, |out, gradient| match name {
-            "diffusion" => diffusion_loss(out, x0, window_len, dims, 10.0, gradient),
+            "diffusion" => diffusion.loss(out, x0, gradient),
             "reward" => value_loss(out, values, false, gradient),
             _ => novelty_loss(out, &fixed, gradient),
         });
@@ -152,7 +162,6 @@ fn check_elements(file: &File, name: &str, weights: &Weights, label: &str) {
             n_far += usize::from((found - expected).abs() > 5e-5);
         }
     }
-    println!("{label}: {n_far} of {n} weights are off by more than 5e-5");
     assert!(
         n_far * 1000 <= n,
         "{label}: {n_far} of {n} weights are off by more than 5e-5"
@@ -209,8 +218,13 @@ fn gradients_of_losses_are_their_slopes() {
     let x = [0.5, -1.0, 2.0, 0.25, 1.5, -0.75, 0.1, 0.9];
     let y = [0.0, 1.0, 1.0, -0.5, 2.5, 0.75, 0.3, -0.2];
     let mut gradient = vec![0.0; x.len()];
-    let diffusion =
-        |x: &[f32], gradient: &mut [f32]| diffusion_loss(x, &y, 4, (1, 2), 10.0, gradient);
+    let weighted = DiffusionLoss {
+        window_len: 4,
+        observation_dim: 1,
+        width: 2,
+        action_weight: 10.0,
+    };
+    let diffusion = |x: &[f32], gradient: &mut [f32]| weighted.loss(x, &y, gradient);
     let loss = diffusion(&x, &mut gradient);
     // One window of two rows of one observation and one action: (0, 10, 1, 1) are the weights.
     let weights = [0.0, 10.0, 1.0, 1.0, 0.0, 10.0, 1.0, 1.0];

@@ -8,7 +8,8 @@ use std::path::Path;
 
 use ksim_datasets::DatasetSource;
 
-use super::plan::{Best, DiffusionPlanner, Loaded};
+use super::loaded::Loaded;
+use super::plan::{Best, DiffusionPlanner};
 use crate::error::PlannerError;
 use crate::family::{
     LoadOptions, PlannerFamily, Preset, TrainObserver, TrainRequest, TrainSummary,

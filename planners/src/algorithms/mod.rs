@@ -5,7 +5,8 @@
 
 mod curiosity_diffuser;
 mod diffuser;
-pub(crate) mod plan;
+mod loaded;
+mod plan;
 mod rediffuser;
 
 pub use curiosity_diffuser::CuriosityDiffuser;

@@ -7,7 +7,8 @@ use std::path::Path;
 
 use ksim_datasets::DatasetSource;
 
-use super::plan::{Choice, Chosen, DiffusionPlanner, Loaded, SlotPlans};
+use super::loaded::Loaded;
+use super::plan::{Choice, Chosen, DiffusionPlanner, SlotPlans};
 use crate::config::{ConfidenceRule, Config};
 use crate::data::Normalizer;
 use crate::error::PlannerError;

@@ -61,14 +61,14 @@ impl Config {
     fn check_networks(&self) -> Result<(), PlannerError> {
         let networks = &self.networks;
         // The target of the curiosity is half as wide and must keep a group of four channels at its narrowest.
-        if networks.model_dim < 16 || networks.model_dim % 16 != 0 {
+        if networks.model_dim < 16 || !networks.model_dim.is_multiple_of(16) {
             return Err(setting(
                 "networks.model_dim",
                 "a multiple of 16, at least 16",
                 networks.model_dim,
             ));
         }
-        if networks.embedding_dim < 2 || networks.embedding_dim % 2 != 0 {
+        if networks.embedding_dim < 2 || !networks.embedding_dim.is_multiple_of(2) {
             return Err(setting(
                 "networks.embedding_dim",
                 "even, at least 2",

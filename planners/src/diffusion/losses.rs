@@ -55,31 +55,39 @@ impl Noised {
     }
 }
 
-/// Mean over all numbers of W·(1 − M)·(prediction − x_0)²: the given observation of the first row (M = 1) does not
-/// count but is in the denominator, the action of the first row counts `action_weight` times. Writes the gradient by
-/// the prediction. `window_len` numbers make a window.
-pub fn diffusion_loss(
-    prediction: &[f32],
-    x0: &[f32],
-    window_len: usize,
-    dims: (usize, usize),
-    action_weight: f64,
-    gradient: &mut [f32],
-) -> f64 {
-    let (observation_dim, width) = dims;
-    let n = prediction.len() as f64;
-    let mut loss = 0.0;
-    for (at, ((prediction, x0), gradient)) in prediction.iter().zip(x0).zip(gradient).enumerate() {
-        let weight = match at % window_len {
-            place if place < observation_dim => 0.0,
-            place if place < width => action_weight,
-            _ => 1.0,
-        };
-        let difference = f64::from(*prediction) - f64::from(*x0);
-        loss += weight * difference * difference;
-        *gradient = (2.0 * weight * difference / n) as f32;
+/// The loss of the diffusion model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DiffusionLoss {
+    /// Numbers in a window.
+    pub window_len: usize,
+    /// Numbers in an observation.
+    pub observation_dim: usize,
+    /// Numbers in a row.
+    pub width: usize,
+    /// Weight of the action of the first row.
+    pub action_weight: f64,
+}
+
+impl DiffusionLoss {
+    /// Mean over all numbers of W·(1 − M)·(prediction − x_0)²: the given observation of the first row (M = 1) does
+    /// not count but is in the denominator, the action of the first row counts `action_weight` times. Writes the
+    /// gradient by the prediction.
+    pub fn loss(&self, prediction: &[f32], x0: &[f32], gradient: &mut [f32]) -> f64 {
+        let n = prediction.len() as f64;
+        let mut loss = 0.0;
+        let pairs = prediction.iter().zip(x0).zip(gradient);
+        for (at, ((prediction, x0), gradient)) in pairs.enumerate() {
+            let weight = match at % self.window_len {
+                place if place < self.observation_dim => 0.0,
+                place if place < self.width => self.action_weight,
+                _ => 1.0,
+            };
+            let difference = f64::from(*prediction) - f64::from(*x0);
+            loss += weight * difference * difference;
+            *gradient = (2.0 * weight * difference / n) as f32;
+        }
+        loss / n
     }
-    loss / n
 }
 
 /// Mean of (prediction − value)². Writes the gradient by the prediction.

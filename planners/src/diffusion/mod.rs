@@ -7,7 +7,7 @@ mod sampler;
 mod schedule;
 
 pub use guide::{Guide, GuideScore};
-pub use losses::{Noised, diffusion_loss, novelty_loss, paired_loss, value_loss};
+pub use losses::{DiffusionLoss, Noised, novelty_loss, paired_loss, value_loss};
 pub use noise::{Noise, RecordedNoise, SeededNoise};
 pub use sampler::{Denoising, Prior, Sample, Sampler};
 pub use schedule::{SamplingStep, SamplingTable, Schedule};

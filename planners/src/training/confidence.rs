@@ -1,7 +1,7 @@
 //! ReDiffuser's phase: random network distillation on clean plans.
 
 use super::learner::{Learner, Rate};
-use super::run::{Done, Phase, Setting};
+use super::setting::{Done, Phase, Setting};
 use crate::config::{ConfidenceConfig, ConfidenceRule};
 use crate::data::{Batches, Subset};
 use crate::diffusion::novelty_loss;
@@ -42,8 +42,7 @@ impl<'a> ConfidencePhase<'a> {
         let predictor = setting.learner(
             CONFIDENCE_PREDICTOR,
             &predictor,
-            config.learning_rate,
-            Rate::Constant,
+            Rate::Constant(config.learning_rate),
         )?;
         let target = setting.fixed(CONFIDENCE_TARGET, &target)?;
         let source = match config.rule {

@@ -1,7 +1,7 @@
 //! Curiosity-Diffuser's phase: random network distillation on noised windows (Burda et al. 2019).
 
 use super::learner::{Learner, Rate};
-use super::run::{Done, Phase, Setting};
+use super::setting::{Done, Phase, Setting};
 use crate::config::CuriosityConfig;
 use crate::data::Batches;
 use crate::diffusion::novelty_loss;
@@ -29,8 +29,10 @@ impl<'a> CuriosityPhase<'a> {
         let predictor = setting.learner(
             CURIOSITY_PREDICTOR,
             &setting.config.classifier_network(width, config.out_dim),
-            config.learning_rate,
-            Rate::Cosine(config.n_updates),
+            Rate::Cosine {
+                first: config.learning_rate,
+                n_updates: config.n_updates,
+            },
         )?;
         let target = setting.config.target_network(width, config.out_dim);
         Ok(Self {

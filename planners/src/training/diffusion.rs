@@ -1,13 +1,13 @@
 //! First phase: the diffusion model and the reward network on the same windows.
 
 use super::learner::{Learner, Rate};
-use super::run::{Done, Phase, Setting};
+use super::setting::{Done, Phase, Setting};
 use crate::config::{Mode, RewardRule};
 use crate::data::{Batches, Subset};
-use crate::diffusion::{Noised, diffusion_loss, value_loss};
+use crate::diffusion::{DiffusionLoss, value_loss};
 use crate::error::PlannerError;
 use crate::model::network::{DIFFUSION, REWARD};
-use crate::rng::{Purpose, Rng};
+use crate::rng::Purpose;
 
 /// Diffusion model and reward network.
 pub(crate) struct DiffusionPhase {
@@ -27,14 +27,18 @@ impl DiffusionPhase {
         let diffusion = setting.learner(
             DIFFUSION,
             &config.diffusion_network(width),
-            config.diffusion.learning_rate,
-            Rate::Cosine(n_updates),
+            Rate::Cosine {
+                first: config.diffusion.learning_rate,
+                n_updates,
+            },
         )?;
         let reward = setting.learner(
             REWARD,
             &config.classifier_network(width, 1),
-            config.reward.learning_rate,
-            Rate::Cosine(n_updates.div_ceil(config.reward.interval)),
+            Rate::Cosine {
+                first: config.reward.learning_rate,
+                n_updates: n_updates.div_ceil(config.reward.interval),
+            },
         )?;
         Ok(Self {
             batches: Self::batches(setting)?,
@@ -68,13 +72,17 @@ impl DiffusionPhase {
     ) -> Result<Done, PlannerError> {
         let noised = setting.noise(&self.x0, self.values.len(), Purpose::DiffusionNoise, number)?;
         let windows = setting.windows;
-        let window_len = windows.horizon * windows.width();
-        let dims = (windows.observation_dim(), windows.width());
-        let (x0, action_weight) = (&self.x0, setting.config.diffusion.action_loss_weight);
+        let loss = DiffusionLoss {
+            window_len: windows.horizon * windows.width(),
+            observation_dim: windows.observation_dim(),
+            width: windows.width(),
+            action_weight: setting.config.diffusion.action_loss_weight,
+        };
+        let x0 = &self.x0;
         let update = self
             .diffusion
             .update(&noised.x, &noised.t, |out, gradient| {
-                diffusion_loss(out, x0, window_len, dims, action_weight, gradient)
+                loss.loss(out, x0, gradient)
             })?;
         Ok(Done::new(
             &self.diffusion,
@@ -113,7 +121,7 @@ impl Phase for DiffusionPhase {
             *value = (*value - setting.value_mean) / setting.value_std;
         }
         let mut done = vec![self.update_diffusion(setting, number)?];
-        if number % setting.config.reward.interval == 0 {
+        if number.is_multiple_of(setting.config.reward.interval) {
             done.push(self.update_reward(setting, number)?);
         }
         Ok(done)
@@ -121,29 +129,5 @@ impl Phase for DiffusionPhase {
 
     fn learners(&self) -> Vec<&Learner> {
         vec![&self.diffusion, &self.reward]
-    }
-}
-
-impl Setting<'_> {
-    /// Windows noised to uniform timesteps, from the stream of a purpose and an update.
-    pub(crate) fn noise(
-        &self,
-        x0: &[f32],
-        n: usize,
-        purpose: Purpose,
-        number: u64,
-    ) -> Result<Noised, PlannerError> {
-        let mut rng = Rng::new(self.seed, purpose, number);
-        let n_timesteps = self.schedule.n_timesteps();
-        let t: Vec<usize> = (0..n).map(|_| rng.below(n_timesteps)).collect();
-        let mut epsilon = vec![0.0; x0.len()];
-        rng.fill_normal(&mut epsilon);
-        Noised::new(
-            &self.schedule,
-            x0,
-            &t,
-            &epsilon,
-            self.windows.observation_dim(),
-        )
     }
 }

@@ -13,10 +13,15 @@ pub fn cosine_rate(first: f64, k: u64, n_updates: u64) -> f64 {
 /// How the learning rate goes on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Rate {
-    /// As [`cosine_rate`] over this many updates.
-    Cosine(u64),
-    /// The first rate throughout.
-    Constant,
+    /// As [`cosine_rate`].
+    Cosine {
+        /// Rate of the first update.
+        first: f64,
+        /// Updates after which it is 0.
+        n_updates: u64,
+    },
+    /// The same throughout.
+    Constant(f64),
 }
 
 /// A network, its optimizer and its learning rate.
@@ -25,7 +30,6 @@ pub struct Learner {
     pub name: &'static str,
     network: Box<dyn TrainableNetwork>,
     adam: Adam,
-    learning_rate: f64,
     rate: Rate,
     n_updates: u64,
 }
@@ -61,7 +65,6 @@ impl Learner {
         backend: &dyn Backend,
         architecture: &Architecture,
         state: TrainingState,
-        learning_rate: f64,
         rate: Rate,
     ) -> Result<Self, PlannerError> {
         Ok(Self {
@@ -69,7 +72,6 @@ impl Learner {
             n_updates: state.n_updates,
             network: backend.trainable(architecture, state)?,
             adam: ADAM,
-            learning_rate,
             rate,
         })
     }
@@ -117,8 +119,8 @@ impl Learner {
             return Err(self.not_finite("gradient"));
         }
         let learning_rate = match self.rate {
-            Rate::Cosine(n_updates) => cosine_rate(self.learning_rate, self.n_updates, n_updates),
-            Rate::Constant => self.learning_rate,
+            Rate::Cosine { first, n_updates } => cosine_rate(first, self.n_updates, n_updates),
+            Rate::Constant(rate) => rate,
         };
         self.network.update(&self.adam, learning_rate)?;
         self.n_updates += 1;

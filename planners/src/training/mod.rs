@@ -3,6 +3,7 @@
 //! Everything that is drawn follows from the seed and the number of the update, so a training that was stopped goes on
 //! with the numbers it would have had.
 
+mod begin;
 mod checkpoint;
 mod confidence;
 mod curiosity;
@@ -11,6 +12,8 @@ mod history;
 mod learner;
 mod manifest;
 mod run;
+mod session;
+mod setting;
 
 pub use learner::{Learner, Rate, Update, cosine_rate};
 pub(crate) use run::{TrainedFamily, train};

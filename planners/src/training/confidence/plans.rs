@@ -5,7 +5,7 @@ use crate::diffusion::{Guide, Prior, Sampler, SamplingTable, SeededNoise};
 use crate::error::PlannerError;
 use crate::model::network::{DIFFUSION, REWARD};
 use crate::rng::{Purpose, Rng};
-use crate::training::run::Setting;
+use crate::training::setting::Setting;
 
 /// Raw states of the best plans from states in which episodes start, of the shape
 /// `(n_plans, horizon·observation_dim)`: of each round of candidates the best `top_candidates` by value.
