@@ -49,12 +49,42 @@ pub enum DataError {
         /// Rows of actions.
         actions: usize,
     },
+    /// Lent bytes that cannot be read as numbers.
+    #[error("{bytes} lent bytes cannot be read as numbers: {reason}")]
+    Lent {
+        /// How many.
+        bytes: usize,
+        /// Why not.
+        reason: &'static str,
+    },
+    /// Two planes of one matrix, or parts of one set of trajectories, that do not go together.
+    #[error("{what}: found {found}, expected {expected}")]
+    Parts {
+        /// What was counted.
+        what: &'static str,
+        /// As the other part has it.
+        expected: usize,
+        /// As this part has it.
+        found: usize,
+    },
     /// A matrix without columns.
     #[error("a matrix needs at least one column")]
     NoColumns,
     /// More rows than a row number can name.
     #[error("more than {} rows", u32::MAX)]
     TooManyRows,
+    /// Statistics that nothing can be normalized by.
+    #[error(
+        "column {column}: mean {mean:e} and standard deviation {std:e}, expected finite numbers, the second above 0"
+    )]
+    Statistics {
+        /// The column, from 0.
+        column: usize,
+        /// Its mean.
+        mean: f64,
+        /// Its standard deviation.
+        std: f64,
+    },
     /// An episode came back after another had begun.
     #[error(
         "episode {episode_index} continues after another episode began: rows of one episode must be contiguous"
@@ -93,6 +123,24 @@ pub enum KMeansError {
         expected: usize,
         /// Width of the centers.
         found: usize,
+    },
+    /// Clusters of other data.
+    #[error("clusters of {found} rows do not go with {expected} rows")]
+    OtherRows {
+        /// Rows of the data.
+        expected: usize,
+        /// Rows the clusters were fitted to.
+        found: usize,
+    },
+    /// A row in a cluster that is not there.
+    #[error("row {row} belongs to cluster {label}, expected one of {n_clusters}")]
+    Label {
+        /// The row.
+        row: usize,
+        /// Its cluster.
+        label: u32,
+        /// Number of clusters.
+        n_clusters: usize,
     },
     /// The linfa backend failed.
     #[cfg(feature = "linfa")]

@@ -22,12 +22,13 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | `matrix`, `trajectories` | the numbers: rows held as pairs of f32, episodes |
+//! | `matrix`, `buffer`, `trajectories` | the numbers: rows held as pairs of f32, owned or lent; episodes |
 //! | `normalizer` | z-scores by the reference's statistics |
 //! | `kmeans` | greedy k-means++, Lloyd with Yinyang bounds |
 //! | `neighbors` | one search trait, four engines |
 //! | `score` | K-Sim, its aggregates and intervals |
 
+mod buffer;
 mod error;
 mod kmeans;
 mod matrix;
@@ -38,6 +39,7 @@ mod score;
 mod tiles;
 mod trajectories;
 
+pub use buffer::Buffer;
 pub use error::{DataError, KMeansError, ScoreError, SearchError};
 pub use kmeans::{KMeans, KMeansBackend, KMeansParams};
 pub use matrix::{Matrix, MatrixView};
@@ -46,7 +48,7 @@ pub use neighbors::{
 };
 pub use normalizer::Normalizer;
 pub use score::{
-    Aggregate, ApproximationError, EpisodeScore, KSim, KSimParams, Report, ScoreOptions, Search,
-    StepScore,
+    Aggregate, ApproximationError, EpisodeScore, KSim, KSimParams, Reference, Report, ScoreOptions,
+    Search, StepScore,
 };
 pub use trajectories::{EpisodeRows, Trajectories};

@@ -5,6 +5,7 @@
 //! and the pair costs no more memory than one `f64`. [`MatrixView`] borrows plain `f64` rows:
 //! queries are few.
 
+use crate::buffer::Buffer;
 use crate::error::DataError;
 
 /// Borrowed row-major `f64` values of shape `(n_rows, n_features)`, all finite.
@@ -53,9 +54,9 @@ impl<'a> MatrixView<'a> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Matrix {
     /// The value rounded to `f32`.
-    high: Vec<f32>,
+    high: Buffer<f32>,
     /// What the rounding left; empty while every value is an `f32`.
-    low: Vec<f32>,
+    low: Buffer<f32>,
     n_features: usize,
 }
 
@@ -67,8 +68,8 @@ impl Matrix {
     pub fn new(n_features: usize) -> Result<Self, DataError> {
         check_shape(0, n_features)?;
         Ok(Self {
-            high: Vec::new(),
-            low: Vec::new(),
+            high: Buffer::default(),
+            low: Buffer::default(),
             n_features,
         })
     }
@@ -83,12 +84,54 @@ impl Matrix {
             return Err(non_finite(at, n_features, f64::from(values[at])));
         }
         let matrix = Self {
-            high: values,
-            low: Vec::new(),
+            high: values.into(),
+            low: Buffer::default(),
             n_features,
         };
         matrix.check_rows()?;
         Ok(matrix)
+    }
+
+    /// Takes both planes as [`planes`](Self::planes) gives them, without a copy and without a look
+    /// at the values: for planes that were checked when they were made, such as those of a file with
+    /// checksums. Values that are not finite make searches meaningless, but not unsafe.
+    ///
+    /// # Errors
+    /// [`DataError::NoColumns`], [`DataError::RaggedRows`], [`DataError::TooManyRows`];
+    /// [`DataError::Parts`] if the second plane is neither empty nor as long as the first.
+    pub fn from_planes(
+        high: Buffer<f32>,
+        low: Buffer<f32>,
+        n_features: usize,
+    ) -> Result<Self, DataError> {
+        check_shape(high.len(), n_features)?;
+        if !low.is_empty() && low.len() != high.len() {
+            return Err(DataError::Parts {
+                what: "values of the second plane",
+                expected: high.len(),
+                found: low.len(),
+            });
+        }
+        let matrix = Self {
+            high,
+            low,
+            n_features,
+        };
+        matrix.check_rows()?;
+        Ok(matrix)
+    }
+
+    /// A value as the two `f32` that [`planes`](Self::planes) hold: rounded, and what the rounding left.
+    #[inline]
+    pub fn split(value: f64) -> [f32; 2] {
+        let (high, low) = split(value);
+        [high, low]
+    }
+
+    /// Both planes, row-major: the values rounded to `f32`, and what the rounding left, which is
+    /// empty where every value is an `f32`.
+    pub fn planes(&self) -> (&[f32], &[f32]) {
+        (&self.high, &self.low)
     }
 
     /// Copies row-major `f64` values.
@@ -113,13 +156,14 @@ impl Matrix {
             return Err(DataError::TooManyRows);
         }
         let before = self.high.len();
-        self.high.extend(values.iter().map(|&v| v as f32));
+        let high = self.high.to_mut();
+        high.extend(values.iter().map(|&v| v as f32));
         let exact = values.iter().all(|&v| f64::from(v as f32) == v);
         if !exact || !self.low.is_empty() {
             // The first value that is not an f32 gives the whole matrix its second plane.
-            self.low.resize(before, 0.0);
-            self.low
-                .extend(values.iter().map(|&v| (v - f64::from(v as f32)) as f32));
+            let low = self.low.to_mut();
+            low.resize(before, 0.0);
+            low.extend(values.iter().map(|&v| split(v).1));
         }
         Ok(())
     }
@@ -201,8 +245,8 @@ impl Matrix {
                 .collect()
         };
         Self {
-            high: thin(&self.high),
-            low: thin(&self.low),
+            high: thin(&self.high).into(),
+            low: thin(&self.low).into(),
             n_features: self.n_features,
         }
     }
@@ -211,11 +255,11 @@ impl Matrix {
     /// the second plane into being.
     pub(crate) fn map_in_place(&mut self, map: impl Fn(usize, f64) -> f64 + Sync) {
         use rayon::prelude::*;
-        self.low.resize(self.high.len(), 0.0);
+        let (high, low) = (self.high.to_mut(), self.low.to_mut());
+        low.resize(high.len(), 0.0);
         let width = self.n_features;
-        self.high
-            .par_chunks_mut(width * CHUNK_ROWS)
-            .zip(self.low.par_chunks_mut(width * CHUNK_ROWS))
+        high.par_chunks_mut(width * CHUNK_ROWS)
+            .zip(low.par_chunks_mut(width * CHUNK_ROWS))
             .for_each(|(high, low)| {
                 for (high, low) in high
                     .chunks_exact_mut(width)
@@ -223,8 +267,7 @@ impl Matrix {
                 {
                     for (column, (high, low)) in high.iter_mut().zip(low).enumerate() {
                         let value = map(column, f64::from(*high) + f64::from(*low));
-                        *high = value as f32;
-                        *low = (value - f64::from(*high)) as f32;
+                        (*high, *low) = split(value);
                     }
                 }
             });
@@ -236,6 +279,13 @@ impl Matrix {
         }
         Ok(())
     }
+}
+
+/// A value as two `f32`: rounded, and what the rounding left.
+#[inline(always)]
+fn split(value: f64) -> (f32, f32) {
+    let high = value as f32;
+    (high, (value - f64::from(high)) as f32)
 }
 
 /// Rows that parallel passes take at a time. Fixed: partial sums are combined in the order of

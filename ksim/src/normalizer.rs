@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::error::DataError;
 use crate::matrix::{CHUNK_ROWS, Matrix};
 
 /// A standard deviation below this counts as 1: the column does not vary.
@@ -29,6 +30,27 @@ impl Normalizer {
         Self { mean, std }
     }
 
+    /// Takes statistics that were computed before, one mean and one deviation per column.
+    ///
+    /// # Errors
+    /// [`DataError::Parts`] for unequal numbers of them, [`DataError::Statistics`] for a mean that is not
+    /// finite or a deviation that is not finite and above 0.
+    pub fn from_statistics(mean: Vec<f64>, std: Vec<f64>) -> Result<Self, DataError> {
+        if mean.len() != std.len() {
+            return Err(DataError::Parts {
+                what: "standard deviations",
+                expected: mean.len(),
+                found: std.len(),
+            });
+        }
+        for (column, (&mean, &std)) in mean.iter().zip(&std).enumerate() {
+            if !(mean.is_finite() && std.is_finite() && std > 0.0) {
+                return Err(DataError::Statistics { column, mean, std });
+            }
+        }
+        Ok(Self { mean, std })
+    }
+
     /// Column means, raw units.
     pub fn mean(&self) -> &[f64] {
         &self.mean
@@ -48,8 +70,11 @@ impl Normalizer {
         data.map_in_place(|column, value| self.normalize(column, value));
     }
 
-    /// Normalized copies of a range of rows, row-major.
-    pub(crate) fn normalized_rows(&self, data: &Matrix, rows: std::ops::Range<usize>) -> Vec<f64> {
+    /// Normalized copies of a range of rows, row-major, in f64.
+    ///
+    /// # Panics
+    /// If `rows` is out of range or `data` has another width.
+    pub fn normalized_rows(&self, data: &Matrix, rows: std::ops::Range<usize>) -> Vec<f64> {
         let width = data.n_features();
         let mut out = vec![0.0; rows.len() * width];
         for (row, out) in rows.zip(out.chunks_exact_mut(width)) {
@@ -117,6 +142,22 @@ mod tests {
             [-1.0, 0.0, 1.0, 0.0]
         );
         assert_eq!((normalized.value(1, 0), normalized.value(1, 1)), (1.0, 0.0));
+    }
+
+    #[test]
+    fn statistics_of_no_use_are_refused() {
+        let of = |mean: f64, std: f64| Normalizer::from_statistics(vec![0.0, mean], vec![1.0, std]);
+        assert!(of(1.0, 2.0).is_ok());
+        for (mean, std) in [
+            (f64::NAN, 1.0),
+            (0.0, 0.0),
+            (0.0, -1.0),
+            (0.0, f64::INFINITY),
+        ] {
+            let error = of(mean, std).unwrap_err();
+            assert!(matches!(error, DataError::Statistics { column: 1, .. }));
+        }
+        assert!(Normalizer::from_statistics(vec![0.0], vec![]).is_err());
     }
 
     #[test]

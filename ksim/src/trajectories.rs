@@ -46,6 +46,64 @@ impl Trajectories {
         })
     }
 
+    /// Takes whole matrices, one row per step, and the episodes that their rows belong to, which must
+    /// follow each other without a gap.
+    ///
+    /// # Errors
+    /// [`DataError::UnequalRows`], [`DataError::SplitEpisode`]; [`DataError::Parts`] if the episodes do
+    /// not cover the rows in order.
+    pub fn from_parts(
+        states: Matrix,
+        actions: Matrix,
+        episodes: Vec<EpisodeRows>,
+    ) -> Result<Self, DataError> {
+        if states.n_rows() != actions.n_rows() {
+            return Err(DataError::UnequalRows {
+                states: states.n_rows(),
+                actions: actions.n_rows(),
+            });
+        }
+        let mut seen = HashSet::with_capacity(episodes.len());
+        let mut next = 0;
+        for episode in &episodes {
+            let episode_index = episode.episode_index;
+            if !seen.insert(episode_index) {
+                return Err(DataError::SplitEpisode { episode_index });
+            }
+            if episode.rows.start != next || episode.rows.end < next {
+                return Err(DataError::Parts {
+                    what: "first row of an episode",
+                    expected: next,
+                    found: episode.rows.start,
+                });
+            }
+            next = episode.rows.end;
+        }
+        if next != states.n_rows() {
+            return Err(DataError::Parts {
+                what: "rows of all episodes",
+                expected: states.n_rows(),
+                found: next,
+            });
+        }
+        Ok(Self {
+            states,
+            actions,
+            episodes,
+            seen,
+        })
+    }
+
+    /// The states, raw units.
+    pub fn states(&self) -> &Matrix {
+        &self.states
+    }
+
+    /// The actions, raw units.
+    pub fn actions(&self) -> &Matrix {
+        &self.actions
+    }
+
     /// Appends consecutive steps of one episode: `states` of shape `(n, state_dim)`, `actions` of
     /// shape `(n, action_dim)`, row-major, raw units. An episode may come in several pushes, one
     /// after the other.
@@ -123,6 +181,15 @@ impl Trajectories {
     /// Width of an action.
     pub fn action_dim(&self) -> usize {
         self.actions.n_features()
+    }
+
+    /// Writes state and action of one step, in raw units and to 48 bits of significand.
+    ///
+    /// # Panics
+    /// If `row` is out of range or one of the outputs has another length than its width.
+    pub fn read_step(&self, row: usize, state: &mut [f64], action: &mut [f64]) {
+        self.states.read_row(row, state);
+        self.actions.read_row(row, action);
     }
 
     /// The episodes in the order they came.

@@ -66,6 +66,63 @@ impl KMeans {
         Ok(Self::assigned(centers.to_vec(), labels, data, None, None))
     }
 
+    /// Puts clusters together again from what their fit gave: labels of all rows, inertia, iterations
+    /// and convergence as the methods of those names return them.
+    ///
+    /// # Errors
+    /// [`KMeansError::NoClusters`], [`KMeansError::CenterWidth`], [`KMeansError::Label`].
+    pub fn from_fit(
+        centers: Vec<f64>,
+        n_features: usize,
+        labels: Vec<u32>,
+        inertia: f64,
+        (n_iterations, converged): (Option<usize>, Option<bool>),
+    ) -> Result<Self, KMeansError> {
+        if centers.is_empty() || n_features == 0 {
+            return Err(KMeansError::NoClusters);
+        }
+        if !centers.len().is_multiple_of(n_features) {
+            return Err(KMeansError::CenterWidth {
+                expected: n_features,
+                found: centers.len() % n_features,
+            });
+        }
+        let n_clusters = centers.len() / n_features;
+        let is_known = |&label: &u32| (label as usize) < n_clusters;
+        if let Some(row) = labels.iter().position(|label| !is_known(label)) {
+            return Err(KMeansError::Label {
+                row,
+                label: labels[row],
+                n_clusters,
+            });
+        }
+        Ok(Self {
+            centers,
+            n_features,
+            labels,
+            inertia,
+            n_iterations,
+            converged,
+        })
+    }
+
+    /// Itself, if it was fitted to as many rows of the same width.
+    pub(crate) fn checked_for(self, data: &Matrix) -> Result<Self, KMeansError> {
+        if self.n_features != data.n_features() {
+            return Err(KMeansError::CenterWidth {
+                expected: data.n_features(),
+                found: self.n_features,
+            });
+        }
+        if self.labels.len() != data.n_rows() {
+            return Err(KMeansError::OtherRows {
+                expected: data.n_rows(),
+                found: self.labels.len(),
+            });
+        }
+        Ok(self)
+    }
+
     fn assigned(
         centers: Vec<f64>,
         labels: Vec<u32>,

@@ -3,19 +3,20 @@
 mod approximation;
 mod bootstrap;
 mod params;
+mod reference;
 mod report;
 
 pub use approximation::ApproximationError;
 pub use params::{KSimParams, Search};
+pub use reference::Reference;
 pub use report::{Aggregate, EpisodeScore, Report, StepScore};
 
 use std::ops::Range;
-use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::error::{DataError, ScoreError};
-use crate::matrix::{Matrix, MatrixView};
+use crate::matrix::MatrixView;
 use crate::neighbors::{Neighbor, NeighborIndex, Neighbors, SearchRequest};
 use crate::normalizer::Normalizer;
 use crate::trajectories::{EpisodeRows, Trajectories};
@@ -43,41 +44,9 @@ const SMALLEST_DISTANCE: f64 = 1e-12;
 /// ```
 #[derive(Debug)]
 pub struct KSim {
-    reference: Arc<Reference>,
+    reference: Reference,
     index: Box<dyn NeighborIndex>,
     params: KSimParams,
-}
-
-/// Normalized states and actions, and where the episodes lie.
-#[derive(Debug)]
-struct Reference {
-    states: Arc<Matrix>,
-    actions: Matrix,
-    state_normalizer: Normalizer,
-    action_normalizer: Normalizer,
-    episodes: Vec<EpisodeRows>,
-}
-
-impl Reference {
-    fn new(mut data: Trajectories) -> Result<Self, ScoreError> {
-        if data.n_rows() == 0 {
-            return Err(ScoreError::EmptyReference);
-        }
-        data.states.shrink_to_fit();
-        data.actions.shrink_to_fit();
-        let state_normalizer = Normalizer::fit(&data.states);
-        let action_normalizer = Normalizer::fit(&data.actions);
-        state_normalizer.normalize_in_place(&mut data.states);
-        action_normalizer.normalize_in_place(&mut data.actions);
-        let episodes = data.episodes().to_vec();
-        Ok(Self {
-            states: Arc::new(data.states),
-            actions: data.actions,
-            state_normalizer,
-            action_normalizer,
-            episodes,
-        })
-    }
 }
 
 /// What to do while scoring.
@@ -101,6 +70,11 @@ impl KSim {
         &*self.index
     }
 
+    /// The reference, normalized.
+    pub fn reference(&self) -> &Reference {
+        &self.reference
+    }
+
     /// Number of reference steps.
     pub fn n_reference_steps(&self) -> usize {
         self.reference.states.n_rows()
@@ -119,10 +93,18 @@ impl KSim {
     /// # Errors
     /// What k-means or the search object to.
     pub fn with_search(&self, search: Search) -> Result<Self, ScoreError> {
-        let params = self.params.clone().search(search);
-        let index = params.build_index(&self.reference)?;
+        self.with_params(self.params.clone().search(search))
+    }
+
+    /// The same reference under other parameters; the data are shared, not copied.
+    ///
+    /// # Errors
+    /// As [`KSimParams::fit`].
+    pub fn with_params(&self, params: KSimParams) -> Result<Self, ScoreError> {
+        params.check()?;
+        let index = params.build_index(&self.reference, None)?;
         Ok(Self {
-            reference: Arc::clone(&self.reference),
+            reference: self.reference.clone(),
             index,
             params,
         })
@@ -181,7 +163,7 @@ impl KSim {
         visit: &mut dyn FnMut(&Block, &Neighbors) -> Result<(), ScoreError>,
     ) -> Result<(), ScoreError> {
         self.check(rollouts)?;
-        let reference = &*self.reference;
+        let reference = &self.reference;
         let excluded = match options.exclude_same_episode {
             true => Some(self.same_episode_rows(rollouts)?),
             false => None,
@@ -257,7 +239,7 @@ impl KSim {
 
     /// Whether two episodes have the same length and states, up to the rounding of storage.
     fn is_same(&self, rollouts: &Trajectories, episode: &EpisodeRows, twin: &EpisodeRows) -> bool {
-        let reference = &*self.reference;
+        let reference = &self.reference;
         let normalizer = &reference.state_normalizer;
         episode.rows.len() == twin.rows.len()
             && episode

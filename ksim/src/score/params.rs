@@ -150,14 +150,23 @@ impl KSimParams {
     /// [`ScoreError::EmptyReference`], [`ScoreError::Gamma`], and what k-means or the search
     /// object to.
     pub fn fit(self, reference: Trajectories) -> Result<KSim, ScoreError> {
-        if !(self.gamma.is_finite() && self.gamma > 0.0) {
-            return Err(ScoreError::Gamma { value: self.gamma });
-        }
-        if self.n_neighbors == 0 {
-            return Err(crate::error::SearchError::NoNeighbors.into());
-        }
-        let reference = Arc::new(Reference::new(reference)?);
-        let index = self.build_index(&reference)?;
+        self.check()?;
+        self.fit_prepared(Reference::new(reference)?, None)
+    }
+
+    /// Builds the search over a reference that is normalized already; `kmeans`, if given, was fitted
+    /// to its states and takes the place of the fit that [`Search::Clusters`] would make.
+    ///
+    /// # Errors
+    /// As [`fit`](Self::fit); [`KMeansError::OtherRows`](crate::KMeansError::OtherRows) for clusters of
+    /// other data.
+    pub fn fit_prepared(
+        self,
+        reference: Reference,
+        kmeans: Option<KMeans>,
+    ) -> Result<KSim, ScoreError> {
+        self.check()?;
+        let index = self.build_index(&reference, kmeans)?;
         Ok(KSim {
             reference,
             index,
@@ -165,9 +174,20 @@ impl KSimParams {
         })
     }
 
+    pub(super) fn check(&self) -> Result<(), ScoreError> {
+        if !(self.gamma.is_finite() && self.gamma > 0.0) {
+            return Err(ScoreError::Gamma { value: self.gamma });
+        }
+        if self.n_neighbors == 0 {
+            return Err(crate::error::SearchError::NoNeighbors.into());
+        }
+        Ok(())
+    }
+
     pub(super) fn build_index(
         &self,
         reference: &Reference,
+        kmeans: Option<KMeans>,
     ) -> Result<Box<dyn NeighborIndex>, ScoreError> {
         let states = Arc::clone(&reference.states);
         let tree = states.n_features() <= KdTree::MAX_FEATURES;
@@ -177,9 +197,12 @@ impl KSimParams {
             Search::KdTree => Box::new(KdTree::new(states)?),
             Search::Auto | Search::Blocked => Box::new(Blocked::new(states)),
             Search::Clusters => {
-                let kmeans = match &self.centers {
-                    Some(centers) => KMeans::from_centers(centers, states.n_features(), &states)?,
-                    None => self.kmeans.fit(&states)?,
+                let kmeans = match (kmeans, &self.centers) {
+                    (Some(kmeans), _) => kmeans.checked_for(&states)?,
+                    (None, Some(centers)) => {
+                        KMeans::from_centers(centers, states.n_features(), &states)?
+                    }
+                    (None, None) => self.kmeans.fit(&states)?,
                 };
                 Box::new(Clusters::new(states, kmeans))
             }

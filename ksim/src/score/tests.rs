@@ -1,4 +1,5 @@
 use super::*;
+use crate::Matrix;
 
 /// Reference on a line, actions alternating, and rollouts beside it.
 fn line() -> (Trajectories, Trajectories) {
