@@ -1,8 +1,8 @@
-//! Closed-loop rollouts: policies, the one rollout loop, its records and their statistics.
+//! Closed-loop rollouts: policies, the one rollout loop, its records and their statistics; and benches.
 //!
 //! Module map: [`policy`] chooses actions; [`rollout`] is the only loop that steps environments; [`record`] is what
 //! it leaves, per episode and per step; [`recording`] writes it as a dataset; [`stats`] are pure functions over
-//! records; [`figure`] draws.
+//! records; [`figure`] draws. [`search_bench`] measures the engines of `ksim` against each other.
 
 mod error;
 pub mod figure;
@@ -11,6 +11,7 @@ pub mod record;
 pub mod recording;
 mod rng;
 pub mod rollout;
+pub mod search_bench;
 pub mod stats;
 
 pub use error::HarnessError;

@@ -12,6 +12,8 @@ pub(crate) enum Purpose {
     ActionNoise = 3,
     Bootstrap = 4,
     Recovery = 5,
+    Synthetic = 6,
+    QueryNoise = 7,
 }
 
 /// A seeded stream of numbers.

@@ -1,12 +1,15 @@
 //! Times the engine on arrays that another program timed too: the Rust half of
-//! `ksim/benches/compare_peers.py`.
+//! `bench-harness/benches/compare_search.py`.
 //!
-//! `peer_timings REFERENCE.f32 QUERIES.f32 WIDTH N_CLUSTERS N_NEIGHBORS ENGINE…` reads raw
-//! little-endian row-major f32 and prints one JSON line: seconds for k-means, seconds per query
-//! for every engine named, and the peak resident memory in bytes.
+//! `peer_timings REFERENCE.f32 WIDTH N_CLUSTERS N_NEIGHBORS N_SINGLE ENGINES QUERIES.f32…` reads raw
+//! little-endian row-major f32 and prints one JSON line: for every engine of the comma-separated list
+//! seconds to build, and for every file of queries seconds per query in one batch and, of `N_SINGLE`
+//! queries, one at a time; for `clusters` k-means alone too; and the peak resident memory in bytes.
+//! Threads are those of `RAYON_NUM_THREADS`.
 
 use std::error::Error;
-use std::io::Write;
+use std::fmt::Write as _;
+use std::io::Write as _;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -14,39 +17,44 @@ use ksim::{
     Blocked, Clusters, KMeans, KdTree, Linear, Matrix, MatrixView, NeighborIndex, SearchRequest,
 };
 
+/// Timed batches, of which the best counts.
+const REPEATS: usize = 3;
+
 fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let [
         reference,
-        queries,
         width,
         n_clusters,
         n_neighbors,
-        engines @ ..,
+        n_single,
+        engines,
+        queries @ ..,
     ] = args.as_slice()
     else {
         return Err(
-            "usage: peer_timings REFERENCE QUERIES WIDTH N_CLUSTERS N_NEIGHBORS ENGINE…".into(),
+            "usage: peer_timings REFERENCE WIDTH N_CLUSTERS N_NEIGHBORS N_SINGLE ENGINES QUERIES…"
+                .into(),
         );
     };
     let width: usize = width.parse()?;
+    let (n_neighbors, n_single) = (n_neighbors.parse()?, n_single.parse()?);
     let data = Arc::new(Matrix::from_f32(read_f32(reference)?, width)?);
-    let query_values: Vec<f64> = read_f32(queries)?.into_iter().map(f64::from).collect();
-    let queries = MatrixView::new(&query_values, width)?;
-    let request = SearchRequest::new(queries, n_neighbors.parse()?);
-    let warm_up = MatrixView::new(&query_values[..width * queries.n_rows().min(64)], width)?;
-    let first = SearchRequest::new(warm_up, n_neighbors.parse()?);
+    let sets: Vec<Vec<f64>> = queries
+        .iter()
+        .map(|path| Ok(read_f32(path)?.into_iter().map(f64::from).collect()))
+        .collect::<Result<_, Box<dyn Error>>>()?;
     let mut fields = vec![format!("\"rows\": {}", data.n_rows())];
-    for engine in engines {
+    for engine in engines.split(',') {
         let start = Instant::now();
-        let index: Box<dyn NeighborIndex> = match engine.as_str() {
+        let index: Box<dyn NeighborIndex> = match engine {
             "linear" => Box::new(Linear::new(Arc::clone(&data))),
             "blocked" => Box::new(Blocked::new(Arc::clone(&data))),
             "kd-tree" => Box::new(KdTree::new(Arc::clone(&data))?),
             "clusters" => {
                 let kmeans = KMeans::params(n_clusters.parse()?).fit(&data)?;
                 fields.push(format!(
-                    "\"kmeans_s\": {}, \"kmeans_iterations\": {}, \"inertia\": {}",
+                    "\"kmeans\": {{\"s\": {}, \"iterations\": {}, \"inertia\": {}}}",
                     start.elapsed().as_secs_f64(),
                     kmeans.n_iterations().unwrap_or(0),
                     kmeans.inertia()
@@ -55,42 +63,64 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
             other => return Err(format!("unknown engine {other:?}").into()),
         };
-        let built = start.elapsed().as_secs_f64();
-        // After a warm-up: the peers' threads run already when they are timed.
-        let mut per_query = f64::INFINITY;
-        let mut found = index.search(&first)?;
-        for _ in 0..repeats(engine) {
-            let start = Instant::now();
-            found = index.search(&request)?;
-            per_query = per_query.min(start.elapsed().as_secs_f64() / queries.n_rows() as f64);
+        let mut field = format!(
+            "\"{engine}\": {{\"build_s\": {}, \"queries\": [",
+            start.elapsed().as_secs_f64()
+        );
+        for (at, values) in sets.iter().enumerate() {
+            let timed = time(&*index, values, n_neighbors, n_single)?;
+            write!(field, "{}{timed}", if at == 0 { "" } else { ", " })?;
         }
-        let last = found
-            .of(found.n_queries() - 1)
-            .last()
-            .map_or(0.0, |n| n.distance);
-        fields.push(format!(
-            "\"{engine}\": {{\"build_s\": {built}, \"query_s\": {per_query}, \"last\": {last}}}"
-        ));
+        fields.push(field + "]}");
     }
     fields.push(format!("\"peak_bytes\": {}", peak_bytes()?));
     writeln!(std::io::stdout(), "{{{}}}", fields.join(", "))?;
     Ok(())
 }
 
-/// Timed searches: one where a single one takes long.
-fn repeats(engine: &str) -> usize {
-    if matches!(engine, "linear" | "blocked") {
-        1
-    } else {
-        3
+/// One set of queries: in one batch, and some one at a time.
+fn time(
+    index: &dyn NeighborIndex,
+    values: &[f64],
+    n_neighbors: usize,
+    n_single: usize,
+) -> Result<String, Box<dyn Error>> {
+    let width = index.n_features();
+    let queries = MatrixView::new(values, width)?;
+    let request = SearchRequest::new(queries, n_neighbors);
+    // After a warm-up: the peers' threads run already when they are timed.
+    let warm_up = MatrixView::new(&values[..width * queries.n_rows().min(64)], width)?;
+    index.search(&SearchRequest::new(warm_up, n_neighbors))?;
+    let mut query_s = f64::INFINITY;
+    let mut sum = 0.0;
+    for _ in 0..REPEATS {
+        let start = Instant::now();
+        let found = index.search(&request)?;
+        query_s = query_s.min(start.elapsed().as_secs_f64() / queries.n_rows() as f64);
+        sum = (0..found.n_queries())
+            .filter_map(|query| found.of(query).last())
+            .map(|last| last.distance)
+            .sum();
     }
+    let n_single = n_single.min(queries.n_rows());
+    let start = Instant::now();
+    for i in 0..n_single {
+        let query = i * queries.n_rows() / n_single;
+        let one = MatrixView::new(&values[query * width..(query + 1) * width], width)?;
+        index.search(&SearchRequest::new(one, n_neighbors))?;
+    }
+    let single_s = start.elapsed().as_secs_f64() / n_single.max(1) as f64;
+    // The sum of the K-th distances, by which the peer sees that the same was computed.
+    Ok(format!(
+        "{{\"query_s\": {query_s}, \"single_s\": {single_s}, \"sum\": {sum}}}"
+    ))
 }
 
 fn read_f32(path: &str) -> Result<Vec<f32>, Box<dyn Error>> {
     use std::io::Read;
     let file = std::fs::File::open(path)?;
     let n = file.metadata()?.len() as usize / 4;
-    let mut reader = std::io::BufReader::new(file);
+    let mut reader = std::io::BufReader::with_capacity(1 << 20, file);
     let mut values = Vec::with_capacity(n);
     let mut bytes = [0; 4];
     for _ in 0..n {

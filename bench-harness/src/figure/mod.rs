@@ -1,8 +1,10 @@
 //! Figures, as SVG: the same data gives the same bytes.
 
+mod chart;
 mod panel;
 pub mod paths;
 mod scale;
+pub mod search;
 
 use svg::node::element::Text;
 

@@ -108,7 +108,7 @@ pub(crate) struct SearchArgs {
 
 /// A search as the command line has it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum SearchName {
+pub(crate) enum SearchName {
     /// An exact one, chosen by the number of state columns
     Auto,
     /// Exact: compares with every row; slow, for checking
@@ -277,7 +277,8 @@ impl Settings {
 }
 
 impl SearchName {
-    fn engine(self) -> Search {
+    /// The engine of that name.
+    pub(crate) fn engine(self) -> Search {
         match self {
             Self::Auto => Search::Auto,
             Self::Linear => Search::Linear,

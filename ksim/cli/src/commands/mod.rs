@@ -1,5 +1,6 @@
 //! One file per command: its arguments and its run.
 
+pub(crate) mod bench;
 pub(crate) mod convert;
 pub(crate) mod dataset;
 pub(crate) mod demo;

@@ -1,5 +1,6 @@
 //! The command at its border: exit codes, stdout and stderr, files.
 
+mod bench_search;
 mod collect;
 mod convert;
 #[cfg(feature = "download")]

@@ -1,0 +1,279 @@
+//! One panel of lines over numbers: axes, intervals, and names beside the lines.
+
+use svg::node::element::{Circle, Group, Line, Path};
+
+use super::scale::ticks;
+use super::{px, text};
+
+/// Pixels left of the lines, above, and below.
+const LEFT: f64 = 58.0;
+const TOP: f64 = 34.0;
+const BOTTOM: f64 = 40.0;
+/// Room right of the lines, for their names.
+const NAMES: f64 = 150.0;
+/// Pixels between two names, at least.
+const NAME_STEP: f64 = 12.0;
+
+/// Told apart by any eyes: the palette of Okabe and Ito.
+const COLORS: [&str; 7] = [
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#222222",
+];
+
+/// A line.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Series {
+    pub(super) name: String,
+    /// Which color; lines that belong together share one.
+    pub(super) color: usize,
+    pub(super) dashed: bool,
+    pub(super) points: Vec<Point>,
+}
+
+/// A place on a line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Point {
+    pub(super) x: f64,
+    pub(super) y: f64,
+    pub(super) interval: Option<[f64; 2]>,
+}
+
+/// How numbers lie on an axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Spacing {
+    Linear,
+    /// Positive numbers only; others are not drawn.
+    Logarithmic,
+}
+
+/// A panel.
+#[derive(Debug, Clone)]
+pub(super) struct Chart {
+    pub(super) title: String,
+    pub(super) x_label: &'static str,
+    pub(super) y_label: &'static str,
+    pub(super) y_spacing: Spacing,
+    pub(super) series: Vec<Series>,
+    /// Pixels of the part with the lines.
+    pub(super) size: [f64; 2],
+}
+
+/// An axis with its range in pixels.
+struct Axis {
+    spacing: Spacing,
+    low: f64,
+    high: f64,
+    pixels: [f64; 2],
+}
+
+impl Axis {
+    fn new(spacing: Spacing, values: impl Iterator<Item = f64>, pixels: [f64; 2]) -> Self {
+        let fits = |v: &f64| v.is_finite() && (spacing == Spacing::Linear || *v > 0.0);
+        let (low, high) = values
+            .filter(fits)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+                (low.min(v), high.max(v))
+            });
+        let (low, high) = match (low <= high, spacing) {
+            (false, _) => (1.0, 10.0),
+            (true, Spacing::Logarithmic) => (low / 1.25, high * 1.25),
+            (true, Spacing::Linear) => {
+                let margin = ((high - low) * 0.06).max(high.abs().max(1.0) * 1e-3);
+                (low - margin, high + margin)
+            }
+        };
+        Self {
+            spacing,
+            low,
+            high,
+            pixels,
+        }
+    }
+
+    fn at(&self, value: f64) -> Option<f64> {
+        let place = |v: f64| match self.spacing {
+            Spacing::Linear => v,
+            Spacing::Logarithmic => v.ln(),
+        };
+        let share = (place(value) - place(self.low)) / (place(self.high) - place(self.low));
+        let at = self.pixels[0] + share * (self.pixels[1] - self.pixels[0]);
+        at.is_finite().then_some(at)
+    }
+
+    /// Numbers to write, the least and the greatest of which are inside.
+    fn ticks(&self) -> Vec<f64> {
+        if self.spacing == Spacing::Linear {
+            return ticks(self.low, self.high, 5);
+        }
+        let decades = (self.high / self.low).log10();
+        let factors: &[f64] = match decades {
+            d if d > 2.5 => &[1.0],
+            d if d > 1.2 => &[1.0, 3.0],
+            _ => &[1.0, 2.0, 5.0],
+        };
+        let first = self.low.log10().floor() as i32;
+        (first..=first + decades.ceil() as i32 + 1)
+            .flat_map(|power| factors.iter().map(move |factor| factor * 10f64.powi(power)))
+            .filter(|tick| (self.low..=self.high).contains(tick))
+            .collect()
+    }
+}
+
+/// A number as short as it is exact enough to read.
+fn number(value: f64) -> String {
+    let size = value.abs();
+    match value {
+        0.0 => "0".to_owned(),
+        _ if size >= 1e4 || size < 1e-3 => {
+            let power = size.log10().floor() as i32;
+            let factor = value / 10f64.powi(power);
+            format!("{}e{power}", (factor * 10.0).round() / 10.0)
+        }
+        _ => format!("{}", (value * 1e4).round() / 1e4),
+    }
+}
+
+impl Chart {
+    /// Pixels of the whole panel.
+    pub(super) fn outer_size(&self) -> [f64; 2] {
+        [LEFT + self.size[0] + NAMES, TOP + self.size[1] + BOTTOM]
+    }
+
+    /// The panel, its upper left corner at the origin.
+    pub(super) fn draw(&self) -> Group {
+        let [width, height] = self.size;
+        let (right, bottom) = (LEFT + width, TOP + height);
+        let points = || self.series.iter().flat_map(|one| &one.points);
+        let ys = points().flat_map(|p| [p.y].into_iter().chain(p.interval.into_iter().flatten()));
+        let x = Axis::new(Spacing::Logarithmic, points().map(|p| p.x), [LEFT, right]);
+        let y = Axis::new(self.y_spacing, ys, [bottom, TOP]);
+        let mut group = Group::new()
+            .add(text(&self.title, [LEFT, 18.0], 12.0, "start").set("font-weight", "bold"))
+            .add(self.frame(&x, &y));
+        let mut names: Vec<(f64, &Series)> = Vec::new();
+        for series in &self.series {
+            group = group.add(line(series, &x, &y));
+            if let Some(at) = series.points.last().and_then(|last| y.at(last.y)) {
+                names.push((at, series));
+            }
+        }
+        names.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut least = f64::NEG_INFINITY;
+        for (at, series) in names {
+            let at = at.max(least);
+            least = at + NAME_STEP;
+            let name = text(&series.name, [right + 8.0, at + 3.5], 10.0, "start");
+            group = group.add(name.set("fill", color(series)));
+        }
+        group
+    }
+
+    fn frame(&self, x: &Axis, y: &Axis) -> Group {
+        let [right, bottom] = [LEFT + self.size[0], TOP + self.size[1]];
+        let mut group = Group::new()
+            .add(straight([LEFT, bottom], [right, bottom], "#222"))
+            .add(straight([LEFT, TOP], [LEFT, bottom], "#222"));
+        for tick in x.ticks() {
+            if let Some(at) = x.at(tick) {
+                let label = text(&number(tick), [at, bottom + 15.0], 10.0, "middle");
+                group = group
+                    .add(straight([at, bottom], [at, bottom + 4.0], "#222"))
+                    .add(label);
+            }
+        }
+        for tick in y.ticks() {
+            if let Some(at) = y.at(tick) {
+                let label = text(&number(tick), [LEFT - 7.0, at + 3.5], 10.0, "end");
+                group = group
+                    .add(straight([LEFT, at], [right, at], "#e4e4e0"))
+                    .add(label);
+            }
+        }
+        let (middle, turn) = (f64::midpoint(TOP, bottom), px(f64::midpoint(TOP, bottom)));
+        let turn = format!("rotate(-90 14 {turn})");
+        let below = [f64::midpoint(LEFT, right), bottom + 31.0];
+        group
+            .add(text(self.x_label, below, 11.0, "middle"))
+            .add(text(self.y_label, [14.0, middle], 11.0, "middle").set("transform", turn))
+    }
+}
+
+fn color(series: &Series) -> &'static str {
+    COLORS[series.color % COLORS.len()]
+}
+
+fn line(series: &Series, x: &Axis, y: &Axis) -> Group {
+    let mut group = Group::new();
+    let mut path = String::new();
+    for point in &series.points {
+        let (Some(left), Some(top)) = (x.at(point.x), y.at(point.y)) else {
+            continue;
+        };
+        path += &format!(
+            "{}{left:.2} {top:.2}",
+            if path.is_empty() { "M" } else { "L" }
+        );
+        if let Some([low, high]) = point.interval.map(|ends| ends.map(|end| y.at(end)))
+            && let (Some(low), Some(high)) = (low, high)
+        {
+            group = group.add(straight([left, low], [left, high], color(series)));
+        }
+        if !series.dashed {
+            let disc = Circle::new()
+                .set("cx", px(left))
+                .set("cy", px(top))
+                .set("r", 2.6);
+            group = group.add(disc.set("fill", color(series)));
+        }
+    }
+    let mut stroke = Path::new()
+        .set("d", path)
+        .set("fill", "none")
+        .set("stroke", color(series))
+        .set("stroke-width", 1.6);
+    if series.dashed {
+        stroke = stroke.set("stroke-dasharray", "5 4");
+    }
+    group.add(stroke)
+}
+
+fn straight(from: [f64; 2], to: [f64; 2], color: &str) -> Line {
+    Line::new()
+        .set("x1", px(from[0]))
+        .set("y1", px(from[1]))
+        .set("x2", px(to[0]))
+        .set("y2", px(to[1]))
+        .set("stroke", color)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn logarithmic_ticks_are_round_and_inside() {
+        let axis =
+            |values: [f64; 2]| Axis::new(Spacing::Logarithmic, values.into_iter(), [0.0, 1.0]);
+        assert_eq!(axis([1e4, 1e7]).ticks(), [1e4, 1e5, 1e6, 1e7]);
+        assert_eq!(axis([10.0, 60.0]).ticks(), [10.0, 20.0, 50.0]);
+        assert_eq!(axis([5.0, 5.0]).ticks(), [5.0]);
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        let shown = [0.0, 0.25, 1e-5, 30_000.0, 1e6, 120.0, -0.03].map(number);
+        assert_eq!(shown, ["0", "0.25", "1e-5", "3e4", "1e6", "120", "-0.03"]);
+    }
+
+    #[test]
+    fn what_cannot_be_placed_is_left_out() {
+        let axis = Axis::new(
+            Spacing::Logarithmic,
+            [0.0, 1.0, 10.0].into_iter(),
+            [0.0, 100.0],
+        );
+        assert_eq!(axis.at(0.0), None);
+        assert!(axis.at(1.0).unwrap() > 0.0);
+        let nothing = Axis::new(Spacing::Linear, [f64::NAN].into_iter(), [0.0, 100.0]);
+        assert_eq!(nothing.at(1.0), Some(0.0));
+    }
+}
