@@ -150,11 +150,20 @@ pub(crate) fn write_atomically(
         .filter(|folder| !folder.as_os_str().is_empty());
     let temporary = named(folder.unwrap_or(Path::new("."))).map_err(failed)?;
     write(temporary.path()).map_err(failed)?;
-    temporary.as_file().sync_all().map_err(failed)?;
+    settle(&temporary).map_err(failed)?;
     temporary
         .persist(path)
         .map_err(|error| failed(error.error))?;
     Ok(())
+}
+
+/// Brings what was written to disk. The writer may have put another file in the place of the one that was opened, as
+/// safetensors does, which then gets the same permissions.
+fn settle(temporary: &NamedTempFile) -> io::Result<()> {
+    let permissions = temporary.as_file().metadata()?.permissions();
+    let written = fs::File::open(temporary.path())?;
+    written.set_permissions(permissions)?;
+    written.sync_all()
 }
 
 /// A temporary file that others may read as any file of the user's.
@@ -215,6 +224,10 @@ mod tests {
         file().write(&path, &[1, 2]).expect("written");
         let (read, table): (TensorFile, Vec<i32>) = TensorFile::read(&path).expect("read");
         assert_eq!((read, table), (file(), vec![1, 2]));
+        let plain = folder.path().join("plain");
+        fs::write(&plain, b"").expect("written");
+        let permissions = |path: &Path| fs::metadata(path).expect("file").permissions();
+        assert_eq!(permissions(&path), permissions(&plain));
     }
 
     #[test]

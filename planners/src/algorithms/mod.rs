@@ -1,6 +1,6 @@
 //! The diffusion planners, a file each.
 //!
-//! All three plan alike ([`plan`]): from the current observation they denoise `n_candidates` windows, guided by log p,
+//! All three plan alike: from the current observation they denoise `n_candidates` windows, guided by log p,
 //! and execute one of them. They differ in what guides and in how one is chosen.
 
 mod curiosity_diffuser;
