@@ -557,6 +557,7 @@ fn requests_that_do_not_fit_are_refused() {
         .load(&folder.path().join("run"), &LoadOptions::default())
         .unwrap();
     planner.reset(2, 0).unwrap();
+    planner.reset(3, 0).unwrap();
     let mut ask = |slots: &[usize], observations: &[f64]| {
         let request = PlanRequest {
             slots,
@@ -569,6 +570,13 @@ fn requests_that_do_not_fit_are_refused() {
             .to_string()
     };
     assert!(ask(&[2], &[0.0; 4]).contains("expected 3"));
+    assert!(ask(&[3, 2], &[0.0; 6]).contains("ascending"));
+    assert!(ask(&[2, 2], &[0.0; 6]).contains("ascending"));
     assert!(ask(&[1], &[0.0; 3]).contains("one that was reset"));
     assert!(ask(&[2], &[0.0, f64::NAN, 0.0]).contains("NaN"));
+    let none = PlanRequest {
+        slots: &[],
+        observations: &[],
+    };
+    assert!(planner.plan(&none).unwrap().chosen.is_empty());
 }

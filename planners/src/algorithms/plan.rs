@@ -143,6 +143,13 @@ impl DiffusionPlanner {
                 found: request.observations.len(),
             });
         }
+        if !request.slots.is_sorted_by(|a, b| a < b) {
+            return Err(PlannerError::Request {
+                what: "the order of slots",
+                expected: "ascending".to_owned(),
+                found: format!("{:?}", request.slots),
+            });
+        }
         if let Some(slot) = request
             .slots
             .iter()
