@@ -1,6 +1,6 @@
 # Thin: behind every target stands a command that works alone.
 
-.PHONY: demo test native peers check
+.PHONY: demo test native native-torch peers check
 
 # Builds with the default features and scores the bundled rollouts.
 demo: native
@@ -13,6 +13,10 @@ test: native
 # CMake for the static HDF5, if the machine has none that is new enough, and libmujoco.
 native:
 	python3 scripts/native.py
+
+# libtorch too (half a gigabyte), for the feature `torch`.
+native-torch:
+	python3 scripts/native.py --torch
 
 # The libraries of other people's formats, for the tests that have them read our files:
 # KSIM_PYTHON=target/peers/bin/python make test. LeRobot brings gigabytes and comes last.

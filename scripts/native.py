@@ -5,6 +5,8 @@
                             own (or to $CMAKE) if it is new enough, else the one that pip fetches
   .native/mujoco/lib        libmujoco, out of its Python wheel, for the feature `mujoco`; a
                             MUJOCO_DYNAMIC_LINK_DIR of your own wins over it
+  .native/libtorch          with `--torch`: the CPU part of libtorch, out of its Python wheel, for
+                            the feature `torch`; a LIBTORCH of your own wins over it
 
 Standard library and pip only. Runs from any folder, again at no cost, and twice at once: every
 result is made in a folder of its own and renamed into place when it is whole. Wheels stay in
@@ -13,6 +15,7 @@ result is made in a folder of its own and renamed into place when it is whole. W
 import contextlib
 import os
 import pathlib
+import platform
 import re
 import shutil
 import subprocess
@@ -25,6 +28,13 @@ CMAKE_AT_LEAST = (3, 26)  # what hdf5-metno-src asks for; Debian 12 has 3.25
 MUJOCO = "3.17.0"  # what mujoco-rs binds, to the last digit of the version
 # Which of the wheels to take: all hold the same library, whatever Python runs this.
 MUJOCO_WHEEL = ("--python-version", "3.11", "--implementation", "cp", "--abi", "cp311")
+TORCH = "2.13.0"  # what torch-sys binds
+CUDA_RUNTIME, CUDA_CUPTI = "13.0.96", "13.0.85"  # two libraries that libtorch_cpu of that wheel names
+TORCH_WHEEL = ("--python-version", "3.11", "--implementation", "cp", "--abi", "cp311", "--abi", "none",
+               "--platform", "manylinux_2_28_x86_64", "--platform", "manylinux_2_25_x86_64",
+               "--platform", "manylinux2014_x86_64")
+# All that a CPU needs of the wheels: the other gigabytes are for CUDA.
+TORCH_LIBRARIES = {"libtorch_cpu.so", "libc10.so", "libgomp.so.1", "libcudart.so.13", "libcupti.so.13"}
 NATIVE = pathlib.Path(__file__).resolve().parents[1] / ".native"
 WHEELS = pathlib.Path(os.environ.get("NATIVE_WHEELS") or NATIVE / "wheels")
 
@@ -153,12 +163,62 @@ def provide_mujoco():
     print(f"native.py: fetched MuJoCo {MUJOCO}")
 
 
+def provide_torch():
+    place = NATIVE / "libtorch"
+    version = place / "build-version"  # written last, and what torch-sys asks for
+    whole = lambda: version.exists() and version.read_text().strip() == TORCH
+    if whole():
+        return
+    if (platform.system(), platform.machine()) != ("Linux", "x86_64"):
+        sys.exit(f"native.py: fetches libtorch for Linux on x86-64 only; here, point LIBTORCH at a libtorch {TORCH} "
+                 "of your own (that of a `pip install torch` will do)")
+    with workspace(NATIVE) as partial:
+        require_pip()
+        made = partial / "libtorch"
+        for requirement in (f"nvidia-cuda-runtime=={CUDA_RUNTIME}", f"nvidia-cuda-cupti=={CUDA_CUPTI}",
+                            f"torch=={TORCH}"):
+            (download := partial / "wheel").mkdir()
+            take_torch(wheel(requirement, download, *TORCH_WHEEL), made)
+            shutil.rmtree(download)
+        missing = TORCH_LIBRARIES - {path.name for path in (made / "lib").iterdir()}
+        if missing:
+            sys.exit(f"native.py: the wheels hold no {', '.join(sorted(missing))}")
+        # torch-sys links `torch`, and the wheel's libtorch.so asks for libtorch_cuda: a linker script takes its place.
+        (made / "lib" / "libtorch.so").write_text("INPUT(-ltorch_cpu)\n")
+        (made / "build-version").write_text(TORCH + "\n")
+        put(made, place, whole)
+    print(f"native.py: fetched libtorch {TORCH}")
+
+
+def take_torch(archive, made):
+    """Copies the libraries that a CPU needs, and the headers."""
+    with zipfile.ZipFile(archive) as z:
+        for info in z.infolist():
+            path = pathlib.PurePosixPath(info.filename)
+            if info.is_dir():
+                continue
+            if path.name in TORCH_LIBRARIES:
+                out = made / "lib" / path.name
+            elif path.parts[:2] == ("torch", "include"):
+                out = made.joinpath(*path.parts[1:])
+            else:
+                continue
+            out.parent.mkdir(parents=True, exist_ok=True)
+            with z.open(info) as source, open(out, "wb") as target:
+                shutil.copyfileobj(source, target, 1 << 20)
+
+
 def require_pip():
     if subprocess.run([sys.executable, "-m", "pip", "--version"], capture_output=True).returncode:
-        sys.exit(f"native.py: {sys.executable} has no pip, which fetches CMake {CMAKE} and MuJoCo {MUJOCO}.\n"
+        sys.exit(f"native.py: {sys.executable} has no pip, which fetches CMake {CMAKE}, MuJoCo {MUJOCO} and libtorch {TORCH}.\n"
                  "Install pip (Debian and Ubuntu: apt install python3-pip), or provide a CMake >= 3.26 "
                  "and a libmujoco of your own in .native/mujoco/lib, and run this again.")
 
 
+unknown = set(sys.argv[1:]) - {"--torch"}
+if unknown:
+    sys.exit(f"native.py: knows no {', '.join(sorted(unknown))}; the one option is --torch")
 provide_cmake()
 provide_mujoco()
+if "--torch" in sys.argv[1:]:
+    provide_torch()

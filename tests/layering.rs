@@ -137,6 +137,12 @@ impl Graph {
         seen
     }
 
+    /// Whether a crate stands for a native library.
+    fn links(&self, id: &str) -> bool {
+        let links = self.packages[id]["links"].as_str();
+        links.is_some_and(|links| !LINKS_NOTHING.contains(&links))
+    }
+
     fn members(&self) -> impl Iterator<Item = (&str, &'static Rule)> {
         self.members.iter().map(|id| {
             let name = self.name(id);
@@ -191,26 +197,49 @@ fn the_engine_links_no_native_library() {
         .find(|(_, rule)| rule.package == "ksim")
         .expect("the engine");
     for id in graph.below(engine) {
-        let links = graph.packages[id]["links"].as_str();
-        assert!(
-            links.is_none_or(|links| LINKS_NOTHING.contains(&links)),
-            "{} links {links:?}",
-            graph.name(id)
-        );
+        assert!(!graph.links(id), "{} links a library", graph.name(id));
+    }
+}
+
+/// A feature that links nothing may be on.
+#[test]
+fn libraries_link_nothing_by_default() {
+    let graph = Graph::load();
+    for (id, rule) in graph.members().filter(|(_, rule)| rule.is_library) {
+        let features = &graph.packages[id]["features"];
+        let parts = |name: &str| list(&features[name]).iter().map(text).collect::<Vec<_>>();
+        let default = features["default"].is_array().then(|| parts("default"));
+        for part in default.iter().flatten().flat_map(|feature| parts(feature)) {
+            let turned_on = part.strip_prefix("dep:").expect("a dependency");
+            let dependencies = graph.normal[id].iter().map(String::as_str);
+            for dependency in dependencies.filter(|id| graph.name(id) == turned_on) {
+                let below = graph.below(dependency);
+                let native = below.iter().chain([&dependency]).find(|id| graph.links(id));
+                assert_eq!(native, None, "{} turns on {part}", rule.package);
+            }
+        }
     }
 }
 
 #[test]
-fn libraries_have_every_feature_off_by_default() {
+fn libtorch_comes_in_by_one_feature_only() {
     let graph = Graph::load();
-    for (id, rule) in graph.members().filter(|(_, rule)| rule.is_library) {
-        let default = &graph.packages[id]["features"]["default"];
-        assert!(
-            default.is_null() || list(default).is_empty(),
-            "{} turns on {default}",
-            rule.package
-        );
+    let mut by = Vec::new();
+    for (id, rule) in graph.members() {
+        let dependencies = list(&graph.packages[id]["dependencies"]);
+        let torch = |name: &str| name == "tch" || name == "torch-sys";
+        for dependency in dependencies.iter().filter(|d| torch(&text(&d["name"]))) {
+            assert_eq!(dependency["optional"], true, "{}", rule.package);
+            let features = graph.packages[id]["features"].as_object();
+            let turns_on = |(_, parts): &(&String, &Value)| {
+                let parts = list(parts).iter().map(text);
+                parts.into_iter().any(|part| part.contains("tch"))
+            };
+            let names = features.expect("features").iter().filter(turns_on);
+            by.extend(names.map(|(name, _)| (rule.package, name.as_str())));
+        }
     }
+    assert_eq!(by, [("ksim-planners", "torch")]);
 }
 
 #[test]

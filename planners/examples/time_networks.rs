@@ -95,8 +95,11 @@ impl Config {
     }
 }
 
-fn network(architecture: &Architecture) -> Result<Box<dyn Network>, PlannerError> {
-    NativeBackend::new().network(architecture, &initial_weights(architecture, 1)?)
+fn network(
+    backend: &dyn Backend,
+    architecture: &Architecture,
+) -> Result<Box<dyn Network>, PlannerError> {
+    backend.network(architecture, &initial_weights(architecture, 1)?)
 }
 
 /// The networks of a guided step.
@@ -106,13 +109,13 @@ struct Guided {
 }
 
 impl Guided {
-    fn new(config: &Config) -> Result<Self, PlannerError> {
+    fn new(backend: &dyn Backend, config: &Config) -> Result<Self, PlannerError> {
         Ok(Self {
-            unet: network(&config.unet())?,
+            unet: network(backend, &config.unet())?,
             classifiers: [
-                network(&config.reward())?,
-                network(&config.predictor())?,
-                network(&config.target())?,
+                network(backend, &config.reward())?,
+                network(backend, &config.predictor())?,
+                network(backend, &config.target())?,
             ],
         })
     }
@@ -175,9 +178,9 @@ fn time(mut run: impl FnMut() -> Result<(), PlannerError>) -> Result<Times, Plan
     Ok((least, (cpu_ms() - cpu) / f64::from(n_runs)))
 }
 
-fn plans(config: &Config) -> Result<(), PlannerError> {
+fn plans(timed: &Timed, config: &Config) -> Result<(), PlannerError> {
     for n in [1, 4, 16, 64] {
-        let mut guided = Guided::new(config)?;
+        let mut guided = Guided::new(timed.backend.as_ref(), config)?;
         let x = numbers(n * config.horizon * config.width);
         let times = time(|| {
             (0..STEPS)
@@ -185,12 +188,12 @@ fn plans(config: &Config) -> Result<(), PlannerError> {
                 .try_for_each(|t| guided.step(&x, t as f32, n))
         })?;
         let label = format!("plan of {STEPS} steps, {n} candidates");
-        row(config, &label, times);
+        timed.row(config, &label, times);
     }
     Ok(())
 }
 
-fn updates(config: &Config) -> Result<(), PlannerError> {
+fn updates(timed: &Timed, config: &Config) -> Result<(), PlannerError> {
     let cases = [
         ("diffusion", config.unet(), 64),
         ("reward", config.reward(), 64),
@@ -207,12 +210,12 @@ fn updates(config: &Config) -> Result<(), PlannerError> {
     };
     for (name, architecture, n) in cases {
         let state = TrainingState::new(initial_weights(&architecture, 1)?);
-        let mut network = NativeBackend::new().trainable(&architecture, state)?;
+        let mut network = timed.backend.trainable(&architecture, state)?;
         let x = numbers(n * architecture.input_len());
         let t: Vec<f32> = (0..n).map(|i| (i % 20) as f32).collect();
         let mut out = vec![0.0; n * architecture.output_len()];
         let times = time(|| update(network.as_mut(), &adam, (&x, &t), &mut out))?;
-        row(config, &format!("{name} update, batch {n}"), times);
+        timed.row(config, &format!("{name} update, batch {n}"), times);
     }
     Ok(())
 }
@@ -228,35 +231,66 @@ fn update(
     network.update(adam, 1e-6)
 }
 
-fn row(config: &Config, what: &str, (wall, cpu): Times) {
-    let threads = rayon::current_num_threads();
-    println!(
-        "| {} | {what} | {threads} | {wall:.1} | {cpu:.1} |",
-        config.name
-    );
+/// A backend and the threads that it uses.
+struct Timed {
+    backend: Box<dyn Backend>,
+    n_threads: usize,
+    /// Where its calls come from.
+    pool: rayon::ThreadPool,
+}
+
+impl Timed {
+    fn new(is_torch: bool, n_threads: usize) -> Result<Self, Box<dyn std::error::Error>> {
+        // libtorch has threads of its own: one operation after the other uses all of them.
+        let callers = if is_torch { 1 } else { n_threads };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(callers);
+        Ok(Self {
+            backend: if is_torch {
+                torch(n_threads)?
+            } else {
+                Box::new(NativeBackend::new())
+            },
+            n_threads,
+            pool: pool.build()?,
+        })
+    }
+
+    fn row(&self, config: &Config, what: &str, (wall, cpu): Times) {
+        let (backend, threads) = (self.backend.name(), self.n_threads);
+        let name = config.name;
+        println!("| {name} | {what} | {backend} | {threads} | {wall:.1} | {cpu:.1} |");
+    }
+}
+
+#[cfg(feature = "torch")]
+fn torch(n_threads: usize) -> Result<Box<dyn Backend>, PlannerError> {
+    use ksim_planners::torch::{Device, TorchBackend};
+    Ok(Box::new(TorchBackend::new(Device::Cpu, n_threads)?))
+}
+
+#[cfg(not(feature = "torch"))]
+fn torch(_: usize) -> Result<Box<dyn Backend>, &'static str> {
+    Err("built without the feature torch")
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let wanted = |names: &[&str], name: &str| {
-        let named = arguments.iter().any(|a| names.contains(&a.as_str()));
-        !named || arguments.iter().any(|a| a == name)
-    };
+    let has = |name: &str| arguments.iter().any(|a| a == name);
+    let wanted = |names: &[&str], name: &str| !names.iter().any(|name| has(name)) || has(name);
     let names = CONFIGS.map(|config| config.name);
-    println!("| network | operation | threads | wall ms | CPU ms |\n|---|---|--:|--:|--:|");
-    for threads in [1, std::thread::available_parallelism()?.get()] {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()?;
+    println!("| network | operation | backend | threads | wall ms | CPU ms |");
+    println!("|---|---|---|--:|--:|--:|");
+    for n_threads in [1, std::thread::available_parallelism()?.get()] {
+        let timed = Timed::new(has("torch"), n_threads)?;
         for config in &CONFIGS {
             if !wanted(&names, config.name) {
                 continue;
             }
             if wanted(&["plan", "update"], "plan") {
-                pool.install(|| plans(config))?;
+                timed.pool.install(|| plans(&timed, config))?;
             }
             if wanted(&["plan", "update"], "update") {
-                pool.install(|| updates(config))?;
+                timed.pool.install(|| updates(&timed, config))?;
             }
         }
     }

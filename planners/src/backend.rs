@@ -43,6 +43,8 @@ impl<'a> BackendOptions<'a> {
 pub const BACKENDS: &[&str] = &[
     #[cfg(feature = "native")]
     "native",
+    #[cfg(feature = "torch")]
+    "torch",
 ];
 
 /// The backend that was asked for.
@@ -57,6 +59,8 @@ pub fn open(options: &BackendOptions<'_>) -> Result<Box<dyn Backend>, PlannerErr
     match name {
         #[cfg(feature = "native")]
         "native" => open_native(options),
+        #[cfg(feature = "torch")]
+        "torch" => open_torch(options),
         _ => Err(PlannerError::UnknownBackend {
             what: "backend",
             name: name.to_owned(),
@@ -91,6 +95,25 @@ fn open_native(options: &BackendOptions<'_>) -> Result<Box<dyn Backend>, Planner
             n_threads,
         )?)),
     }
+}
+
+#[cfg(feature = "torch")]
+fn open_torch(options: &BackendOptions<'_>) -> Result<Box<dyn Backend>, PlannerError> {
+    use crate::torch::{Device, TorchBackend};
+
+    let device: Device = options.device.unwrap_or("cpu").parse()?;
+    if options.precision != Precision::F32 {
+        return Err(PlannerError::UnknownBackend {
+            what: "precision of backend torch",
+            name: options.precision.to_string(),
+            known: vec!["f32"],
+        });
+    }
+    let n_threads = match options.n_threads {
+        Some(n_threads) => n_threads,
+        None => std::thread::available_parallelism().map_or(1, usize::from),
+    };
+    Ok(Box::new(TorchBackend::new(device, n_threads)?))
 }
 
 #[cfg(feature = "native")]

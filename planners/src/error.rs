@@ -118,6 +118,17 @@ pub enum PlannerError {
         /// The names there are.
         known: Vec<&'static str>,
     },
+    /// A checkpoint of the reference implementation could not be read.
+    #[error(transparent)]
+    Import(#[from] crate::import::ImportError),
+    /// A backend cannot compute.
+    #[error("{backend} backend: {problem}")]
+    Backend {
+        /// Its name.
+        backend: &'static str,
+        /// What it says.
+        problem: String,
+    },
     /// A dataset could not be read.
     #[error(transparent)]
     Dataset(#[from] ksim_datasets::DatasetError),

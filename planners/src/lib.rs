@@ -4,7 +4,8 @@
 //! are. [`algorithms`] holds the diffusion planners, a file each; they share [`config`] and its presets, [`data`] for
 //! training windows, [`diffusion`] with schedule, sampler and losses, [`training`] with checkpoints and run folders,
 //! and [`model`], the file of a trained planner. [`nets`] describes their networks and the small interface behind
-//! which a backend computes them; [`native`] is one, by our own kernels.
+//! which a backend computes them; [`native`] is one, by our own kernels, `torch` another, by libtorch. [`import`] reads
+//! networks that the reference implementation trained.
 
 pub mod algorithms;
 pub mod backend;
@@ -13,6 +14,7 @@ pub mod data;
 pub mod diffusion;
 pub mod error;
 pub mod family;
+pub mod import;
 pub mod model;
 #[cfg(feature = "native")]
 pub mod native;
@@ -22,6 +24,8 @@ mod presets;
 pub mod registry;
 mod rng;
 mod tensor_file;
+#[cfg(feature = "torch")]
+pub mod torch;
 pub mod training;
 
 pub use error::PlannerError;

@@ -24,7 +24,7 @@ use crate::training::{TrainedFamily, train};
 pub struct CuriosityDiffuser;
 
 impl CuriosityDiffuser {
-    const ID: &'static str = "curiosity-diffuser";
+    pub(crate) const ID: &'static str = "curiosity-diffuser";
 }
 
 /// Settings of a preset.

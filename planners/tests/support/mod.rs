@@ -24,6 +24,10 @@ pub(crate) fn backends() -> Vec<Box<dyn Backend>> {
     vec![
         #[cfg(feature = "native")]
         Box::new(ksim_planners::native::NativeBackend::new()),
+        #[cfg(feature = "torch")]
+        Box::new(
+            ksim_planners::torch::TorchBackend::new(ksim_planners::torch::Device::Cpu, 2).unwrap(),
+        ),
     ]
 }
 
