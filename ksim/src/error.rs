@@ -171,9 +171,6 @@ pub enum SearchError {
         /// Width asked for.
         found: usize,
     },
-    /// The tree could not be built.
-    #[error("the kd-tree could not be built: {0}")]
-    Tree(String),
     /// No neighbors were asked for.
     #[error("n_neighbors is 0, expected at least 1")]
     NoNeighbors,

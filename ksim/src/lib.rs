@@ -44,7 +44,7 @@ pub use error::{DataError, KMeansError, ScoreError, SearchError};
 pub use kmeans::{KMeans, KMeansBackend, KMeansParams};
 pub use matrix::{Matrix, MatrixView};
 pub use neighbors::{
-    Blocked, Clusters, KdTree, Linear, Neighbor, NeighborIndex, Neighbors, SearchRequest,
+    Blocked, Clusters, KdTree, Linear, Neighbor, NeighborIndex, Neighbors, SearchRequest, Simd,
 };
 pub use normalizer::Normalizer;
 pub use score::{

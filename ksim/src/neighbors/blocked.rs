@@ -1,28 +1,48 @@
-//! Exact search at any width: a single-precision first pass over tiles of rows, then f64.
+//! Exact search at any width: a quantized first pass over blocks of rows, then f64.
 
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::scan::{self, BATCH_QUERIES, Query};
+use super::quantized::{BATCH_QUERIES, Codes, Searcher, Simd};
+use super::scan::Query;
 use super::{NeighborIndex, Neighbors, SearchRequest};
 use crate::error::SearchError;
 use crate::matrix::{Matrix, max_norm};
-use crate::tiles::RowSet;
 
-/// Exact search for batches of queries: vectorised f32 distances with a proven error bound discard
+/// Fewer queries than this are not worth a batch of their own: the rows are shared out instead.
+const SMALL_BATCH: usize = 64;
+
+/// Exact search for batches of queries: rows rounded to bytes, with a proven error bound, discard
 /// almost every row, the rest are ranked in f64. The same neighbors as [`Linear`](super::Linear).
+///
+/// The rounded rows take about a byte per value, in blocks of four columns, and four per row.
 #[derive(Debug, Clone)]
 pub struct Blocked {
     data: Arc<Matrix>,
+    codes: Arc<Codes>,
     max_norm: f64,
+    simd: Simd,
 }
 
 impl Blocked {
-    /// Indexes `data`: one pass for the largest norm, no copy.
+    /// Indexes `data`: a few passes over it, and a rounded copy.
     pub fn new(data: Arc<Matrix>) -> Self {
+        let rows: Vec<u32> = (0..data.n_rows() as u32).collect();
+        let codes = Arc::new(Codes::new(&data, &[&rows]));
         let max_norm = max_norm(&data);
-        Self { data, max_norm }
+        Self {
+            data,
+            codes,
+            max_norm,
+            simd: Simd::best(),
+        }
+    }
+
+    /// Takes another vector unit than the best; the answers are the same.
+    pub fn with_simd(mut self, simd: Simd) -> Self {
+        self.simd = simd;
+        self
     }
 }
 
@@ -46,27 +66,29 @@ impl NeighborIndex for Blocked {
     fn search(&self, request: &SearchRequest<'_>) -> Result<Neighbors, SearchError> {
         request.check(self.n_features())?;
         let n_queries = request.queries.n_rows();
-        let lists = (0..n_queries.div_ceil(BATCH_QUERIES))
+        let threads = rayon::current_num_threads();
+        // Whole rounds of all threads, where there are queries enough.
+        let rounds = n_queries.div_ceil(BATCH_QUERIES * threads).max(1);
+        let batch = n_queries.div_ceil(rounds * threads).max(SMALL_BATCH);
+        let n_batches = n_queries.div_ceil(batch);
+        let searcher = Searcher {
+            data: &self.data,
+            codes: &self.codes,
+            max_norm: self.max_norm,
+            simd: self.simd,
+            parts: threads.div_ceil(n_batches.max(1)),
+        };
+        let lists = (0..n_batches)
             .into_par_iter()
-            .flat_map_iter(|batch| {
-                let end = ((batch + 1) * BATCH_QUERIES).min(n_queries);
-                let queries: Vec<Query<'_>> = (batch * BATCH_QUERIES..end)
+            .flat_map_iter(|number| {
+                let end = ((number + 1) * batch).min(n_queries);
+                let queries: Vec<Query<'_>> = (number * batch..end)
                     .map(|query| Query {
                         values: request.queries.row(query),
                         excluded: request.excluded(query),
                     })
                     .collect();
-                let rows = RowSet::Range {
-                    start: 0,
-                    end: self.n_rows(),
-                };
-                scan::nearest(
-                    &self.data,
-                    rows,
-                    &queries,
-                    request.n_neighbors,
-                    self.max_norm,
-                )
+                searcher.nearest(0, &queries, request.n_neighbors)
             })
             .collect();
         Ok(Neighbors::from_lists(lists, None))

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::scan::{self, BATCH_QUERIES, Query};
+use super::quantized::{BATCH_QUERIES, Codes, Searcher, Simd};
+use super::scan::Query;
 use super::{NeighborIndex, Neighbors, SearchRequest};
 use crate::error::SearchError;
 use crate::kmeans::KMeans;
 use crate::matrix::{Matrix, max_norm};
-use crate::tiles::RowSet;
 
 /// One-probe search over k-means clusters ("Similarity Measurement" of the Curiosity-Diffuser
 /// paper): the cluster with the nearest center is searched exactly, the others not at all.
@@ -24,7 +24,10 @@ pub struct Clusters {
     rows: Vec<u32>,
     /// `n_clusters + 1` offsets into `rows`.
     offsets: Vec<usize>,
+    /// A segment for each cluster.
+    codes: Arc<Codes>,
     max_norm: f64,
+    simd: Simd,
 }
 
 impl Clusters {
@@ -51,14 +54,27 @@ impl Clusters {
             rows[next[label as usize]] = row as u32;
             next[label as usize] += 1;
         }
+        let segments: Vec<&[u32]> = offsets
+            .windows(2)
+            .map(|ends| &rows[ends[0]..ends[1]])
+            .collect();
+        let codes = Arc::new(Codes::new(&data, &segments));
         let max_norm = max_norm(&data);
         Self {
             data,
             kmeans,
             rows,
             offsets,
+            codes,
             max_norm,
+            simd: Simd::best(),
         }
+    }
+
+    /// Takes another vector unit than the best; the answers are the same.
+    pub fn with_simd(mut self, simd: Simd) -> Self {
+        self.simd = simd;
+        self
     }
 
     /// The clusters searched.
@@ -120,25 +136,26 @@ impl NeighborIndex for Clusters {
             .into_par_iter()
             .map(|query| self.probe(&query_at(query)))
             .collect();
-        // Queries of one cluster travel together, so that its rows are packed once for all.
+        // Queries of one cluster travel together, so that its rows are read once for all.
         let mut order: Vec<usize> = (0..clusters.len()).collect();
         order.sort_by_key(|&query| clusters[query]);
         let tasks: Vec<&[usize]> = order
             .chunk_by(|&a, &b| clusters[a] == clusters[b])
             .flat_map(|group| group.chunks(BATCH_QUERIES))
             .collect();
+        let searcher = Searcher {
+            data: &self.data,
+            codes: &self.codes,
+            max_norm: self.max_norm,
+            simd: self.simd,
+            parts: 1,
+        };
         let answers: Vec<_> = tasks
             .par_iter()
             .flat_map_iter(|&task| {
                 let queries: Vec<Query<'_>> = task.iter().map(|&query| query_at(query)).collect();
-                let rows = RowSet::Listed(self.members(clusters[task[0]]));
-                let lists = scan::nearest(
-                    &self.data,
-                    rows,
-                    &queries,
-                    request.n_neighbors,
-                    self.max_norm,
-                );
+                let cluster = clusters[task[0]] as usize;
+                let lists = searcher.nearest(cluster, &queries, request.n_neighbors);
                 task.iter().copied().zip(lists)
             })
             .collect();

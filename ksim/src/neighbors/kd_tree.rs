@@ -1,37 +1,45 @@
-//! Exact search for few columns: kiddo's k-d tree, ranked by our own distance.
+//! Exact search for few columns: a k-d tree with rows copied into its leaves.
+//!
+//! Leaves are scanned by the very arithmetic of [`Matrix::squared_distance`], many rows at a time,
+//! so that nothing is ranked twice. A node's box prunes exactly, too: rounding is monotonic, so the
+//! rounded distance to a box, summed in the same order, never exceeds that to a row inside.
 
-use std::fmt::Debug;
-use std::num::NonZero;
+use std::fmt::{self, Debug};
 use std::ops::Range;
 use std::sync::Arc;
 
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{Neighbor, NeighborIndex, Neighbors, SearchRequest, rank};
+use super::best::Best;
+use super::{Neighbor, NeighborIndex, Neighbors, SearchRequest};
 use crate::error::SearchError;
 use crate::matrix::{Matrix, squared_distance};
 
-/// Extra neighbors asked of the tree. If the last of them lies clearly beyond the n-th, the answer
-/// holds every row that rounding or a tie could bring among the n nearest.
-const SPARE: usize = 4;
+/// Rows in a leaf, at most.
+const LEAF: usize = 32;
 
-/// How far beyond the n-th squared distance a row must lie to be out of reach of rounding: the
-/// tree and [`Matrix::squared_distance`] sum in different orders, 1e-15 apart.
-const CLEARLY_BEYOND: f64 = 1.0 + 1e-12;
-
-/// The same for a radius that the triangle inequality gives.
+/// More than rounding can take from a radius that the triangle inequality gives.
 const REACH_ROUNDING: f64 = 1.0 + 1e-9;
 
 /// Queries searched one after the other by one task.
 const RUN_QUERIES: usize = 256;
 
+/// Nodes with fewer rows are built by the thread that has them.
+const SEQUENTIAL_ROWS: usize = 1 << 14;
+
 /// Exact search by a k-d tree: about `O(log n_rows)` per query in 1 to
 /// [`MAX_FEATURES`](KdTree::MAX_FEATURES) columns, hopeless far above.
-#[derive(Debug)]
 pub struct KdTree {
-    data: Arc<Matrix>,
     tree: Box<dyn Tree>,
+    n_rows: usize,
+    n_features: usize,
+}
+
+impl Debug for KdTree {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}-d tree of {} rows", self.n_features, self.n_rows)
+    }
 }
 
 impl KdTree {
@@ -43,15 +51,15 @@ impl KdTree {
     /// # Errors
     /// [`SearchError::TooWideForTree`] above [`MAX_FEATURES`](Self::MAX_FEATURES) columns.
     pub fn new(data: Arc<Matrix>) -> Result<Self, SearchError> {
-        let tree = match data.n_features() {
-            1 => build::<1>(&data)?,
-            2 => build::<2>(&data)?,
-            3 => build::<3>(&data)?,
-            4 => build::<4>(&data)?,
-            5 => build::<5>(&data)?,
-            6 => build::<6>(&data)?,
-            7 => build::<7>(&data)?,
-            8 => build::<8>(&data)?,
+        let tree: Box<dyn Tree> = match data.n_features() {
+            1 => Box::new(Fixed::<1>::new(&data)),
+            2 => Box::new(Fixed::<2>::new(&data)),
+            3 => Box::new(Fixed::<3>::new(&data)),
+            4 => Box::new(Fixed::<4>::new(&data)),
+            5 => Box::new(Fixed::<5>::new(&data)),
+            6 => Box::new(Fixed::<6>::new(&data)),
+            7 => Box::new(Fixed::<7>::new(&data)),
+            8 => Box::new(Fixed::<8>::new(&data)),
             found => {
                 return Err(SearchError::TooWideForTree {
                     largest: Self::MAX_FEATURES,
@@ -59,60 +67,11 @@ impl KdTree {
                 });
             }
         };
-        Ok(Self { data, tree })
-    }
-
-    /// The `n` nearest rows, which are known to lie within `reach` of the query.
-    fn search_one(
-        &self,
-        query: &[f64],
-        excluded: &Range<usize>,
-        n: usize,
-        reach: f64,
-    ) -> Vec<Neighbor> {
-        let allowed = |row: &u32| !excluded.contains(&(*row as usize));
-        let wanted = n + excluded.len();
-        let mut found = self.tree.nearest(query, wanted + SPARE, reach * reach);
-        if found.len() > wanted {
-            let (beyond, _) = found[found.len() - 1];
-            let (limit, _) = found[wanted - 1];
-            if beyond <= limit * CLEARLY_BEYOND {
-                found = self.tree.within(query, limit * CLEARLY_BEYOND);
-            }
-        }
-        rank(
-            &self.data,
-            query,
-            found.into_iter().map(|(_, row)| row).filter(allowed),
-            n,
-        )
-    }
-
-    /// Queries one after the other. A rollout's steps lie close together: what was the farthest
-    /// neighbor of one is, by the triangle inequality, a limit for the next.
-    fn search_run(
-        &self,
-        request: &SearchRequest<'_>,
-        run: Range<usize>,
-        n: usize,
-    ) -> Vec<Vec<Neighbor>> {
-        let mut lists: Vec<Vec<Neighbor>> = Vec::with_capacity(run.len());
-        let mut reach = f64::INFINITY;
-        for query in run.clone() {
-            let (point, excluded) = (request.queries.row(query), request.excluded(query));
-            if query > run.start {
-                let before = query - 1;
-                let step = squared_distance(request.queries.row(before), point).sqrt();
-                reach = match lists.last() {
-                    Some(list) if list.len() == n && request.excluded(before) == excluded => {
-                        (list[n - 1].distance + step) * REACH_ROUNDING
-                    }
-                    _ => f64::INFINITY,
-                };
-            }
-            lists.push(self.search_one(point, &excluded, n, reach));
-        }
-        lists
+        Ok(Self {
+            tree,
+            n_rows: data.n_rows(),
+            n_features: data.n_features(),
+        })
     }
 }
 
@@ -126,11 +85,11 @@ impl NeighborIndex for KdTree {
     }
 
     fn n_rows(&self) -> usize {
-        self.data.n_rows()
+        self.n_rows
     }
 
     fn n_features(&self) -> usize {
-        self.data.n_features()
+        self.n_features
     }
 
     fn search(&self, request: &SearchRequest<'_>) -> Result<Neighbors, SearchError> {
@@ -141,69 +100,291 @@ impl NeighborIndex for KdTree {
             .into_par_iter()
             .flat_map_iter(|run| {
                 let start = run * RUN_QUERIES;
-                self.search_run(request, start..(start + RUN_QUERIES).min(n_queries), n)
+                let run = start..(start + RUN_QUERIES).min(n_queries);
+                self.tree.search_run(request, run, n)
             })
             .collect();
         Ok(Neighbors::from_lists(lists, None))
     }
 }
 
-/// A tree of some width; results are (squared distance, row), ascending.
-trait Tree: Send + Sync + Debug {
-    /// At most `n` rows, none beyond the squared distance `limit`, which may be infinite.
-    fn nearest(&self, query: &[f64], n: usize, limit: f64) -> Vec<(f64, u32)>;
-    fn within(&self, query: &[f64], squared: f64) -> Vec<(f64, u32)>;
+/// A tree of some width.
+trait Tree: Send + Sync {
+    /// The `n` nearest rows of some queries, one query after the other.
+    fn search_run(
+        &self,
+        request: &SearchRequest<'_>,
+        run: Range<usize>,
+        n: usize,
+    ) -> Vec<Vec<Neighbor>>;
 }
 
-struct Fixed<const K: usize>(ImmutableKdTree<f64, K>);
-
-impl<const K: usize> Debug for Fixed<K> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{K}-d tree of {} rows", self.0.size())
-    }
+/// What a leaf holds: column by column, beyond the last row values that no query is near.
+struct Leaf<const K: usize> {
+    columns: [[f64; LEAF]; K],
+    rows: [u32; LEAF],
 }
 
-fn build<const K: usize>(data: &Matrix) -> Result<Box<dyn Tree>, SearchError> {
-    let mut points = vec![[0.0; K]; data.n_rows()];
-    for (row, point) in points.iter_mut().enumerate() {
-        data.read_row(row, point);
-    }
-    let tree = ImmutableKdTree::new_from_slice(&points)
-        .map_err(|error| SearchError::Tree(format!("{error:?}")))?;
-    Ok(Box::new(Fixed(tree)))
+/// The smallest box around the rows of a node.
+#[derive(Clone, Copy)]
+struct Bounds<const K: usize> {
+    low: [f64; K],
+    high: [f64; K],
+}
+
+/// A balanced tree: the children of node i are 2i + 1 and 2i + 2, leaves come last.
+struct Fixed<const K: usize> {
+    bounds: Vec<Bounds<K>>,
+    leaves: Vec<Leaf<K>>,
+}
+
+#[derive(Clone, Copy)]
+struct Point<const K: usize> {
+    values: [f64; K],
+    row: u32,
 }
 
 impl<const K: usize> Fixed<K> {
-    fn point(query: &[f64]) -> [f64; K] {
-        std::array::from_fn(|column| query[column])
+    fn new(data: &Matrix) -> Self {
+        let mut points: Vec<Point<K>> = (0..data.n_rows())
+            .into_par_iter()
+            .map(|row| {
+                let mut values = [0.0; K];
+                data.read_row(row, &mut values);
+                Point {
+                    values,
+                    row: row as u32,
+                }
+            })
+            .collect();
+        let n_leaves = points.len().div_ceil(LEAF).next_power_of_two();
+        sort(&mut points, n_leaves);
+        let starts: Vec<usize> = leaf_starts(points.len(), n_leaves);
+        let leaves: Vec<Leaf<K>> = starts
+            .par_windows(2)
+            .map(|ends| Leaf::new(&points[ends[0]..ends[1]]))
+            .collect();
+        let mut bounds = vec![Bounds::of(&[]); n_leaves - 1];
+        bounds.extend(
+            starts
+                .windows(2)
+                .map(|ends| Bounds::of(&points[ends[0]..ends[1]])),
+        );
+        for node in (0..n_leaves - 1).rev() {
+            bounds[node] = bounds[2 * node + 1].with(&bounds[2 * node + 2]);
+        }
+        Self { bounds, leaves }
+    }
+
+    /// Takes the rows within `best`'s threshold, nearest boxes first.
+    #[inline(always)]
+    fn search(
+        &self,
+        query: &[f64; K],
+        excluded: &Range<usize>,
+        best: &mut Best,
+        stack: &mut Vec<(f64, usize)>,
+    ) {
+        stack.clear();
+        stack.push((self.bounds[0].squared_distance(query), 0));
+        while let Some((squared, mut node)) = stack.pop() {
+            if squared > best.squared {
+                continue;
+            }
+            while node + 1 < self.leaves.len() {
+                let children = [2 * node + 1, 2 * node + 2];
+                let [a, b] = children.map(|child| self.bounds[child].squared_distance(query));
+                let (near, far, beyond) = if a <= b {
+                    (children[0], children[1], b)
+                } else {
+                    (children[1], children[0], a)
+                };
+                if beyond <= best.squared {
+                    stack.push((beyond, far));
+                }
+                node = near;
+            }
+            self.leaves[node + 1 - self.leaves.len()].scan(query, excluded, best);
+        }
+    }
+}
+
+/// Where leaves start when halves are halved.
+fn leaf_starts(n_points: usize, n_leaves: usize) -> Vec<usize> {
+    if n_leaves == 1 {
+        return vec![0, n_points];
+    }
+    let half = n_points / 2;
+    let mut starts = leaf_starts(half, n_leaves / 2);
+    starts.pop();
+    let second = leaf_starts(n_points - half, n_leaves / 2);
+    starts.extend(second.into_iter().map(|start| half + start));
+    starts
+}
+
+/// Puts the points of each of `n_leaves` leaves together, splitting the widest side of the box in
+/// the middle.
+fn sort<const K: usize>(points: &mut [Point<K>], n_leaves: usize) {
+    if n_leaves == 1 {
+        return;
+    }
+    let bounds = Bounds::of(points);
+    let side = |column: usize| bounds.high[column] - bounds.low[column];
+    let widest = (1..K).fold(0, |best, column| {
+        if side(column) > side(best) {
+            column
+        } else {
+            best
+        }
+    });
+    let half = points.len() / 2;
+    points.select_nth_unstable_by(half, |a, b| {
+        a.values[widest]
+            .total_cmp(&b.values[widest])
+            .then(a.row.cmp(&b.row))
+    });
+    let parallel = points.len() > SEQUENTIAL_ROWS;
+    let (first, second) = points.split_at_mut(half);
+    if parallel {
+        rayon::join(|| sort(first, n_leaves / 2), || sort(second, n_leaves / 2));
+    } else {
+        sort(first, n_leaves / 2);
+        sort(second, n_leaves / 2);
+    }
+}
+
+impl<const K: usize> Bounds<K> {
+    fn of(points: &[Point<K>]) -> Self {
+        let mut bounds = Self {
+            low: [f64::INFINITY; K],
+            high: [f64::NEG_INFINITY; K],
+        };
+        for point in points {
+            for column in 0..K {
+                bounds.low[column] = bounds.low[column].min(point.values[column]);
+                bounds.high[column] = bounds.high[column].max(point.values[column]);
+            }
+        }
+        bounds
+    }
+
+    fn with(&self, other: &Self) -> Self {
+        Self {
+            low: std::array::from_fn(|column| self.low[column].min(other.low[column])),
+            high: std::array::from_fn(|column| self.high[column].max(other.high[column])),
+        }
+    }
+
+    /// Infinite for a box without rows.
+    #[inline(always)]
+    fn squared_distance(&self, query: &[f64; K]) -> f64 {
+        let mut partial = [0.0; 4];
+        for column in 0..K {
+            let below = self.low[column] - query[column];
+            let above = query[column] - self.high[column];
+            let beyond = below.max(above).max(0.0);
+            partial[column % 4] += beyond * beyond;
+        }
+        (partial[0] + partial[2]) + (partial[1] + partial[3])
+    }
+}
+
+impl<const K: usize> Leaf<K> {
+    fn new(points: &[Point<K>]) -> Self {
+        let mut leaf = Self {
+            columns: [[f64::INFINITY; LEAF]; K],
+            rows: [0; LEAF],
+        };
+        for (at, point) in points.iter().enumerate() {
+            for (column, value) in leaf.columns.iter_mut().zip(point.values) {
+                column[at] = value;
+            }
+            leaf.rows[at] = point.row;
+        }
+        leaf
+    }
+
+    #[inline(always)]
+    fn scan(&self, query: &[f64; K], excluded: &Range<usize>, best: &mut Best) {
+        let mut partial = [[0.0f64; LEAF]; 4];
+        for (column, (values, query)) in self.columns.iter().zip(query).enumerate() {
+            for (partial, value) in partial[column % 4].iter_mut().zip(values) {
+                let difference = value - query;
+                *partial += difference * difference;
+            }
+        }
+        let limit = best.squared.min(f64::MAX);
+        let (mut squared, mut within) = ([0.0; LEAF], 0u32);
+        let [a, b, c, d] = &partial;
+        for (at, squared) in squared.iter_mut().enumerate() {
+            *squared = (a[at] + c[at]) + (b[at] + d[at]);
+        }
+        for (at, squared) in squared.iter().enumerate() {
+            within |= u32::from(*squared <= limit) << at;
+        }
+        while within != 0 {
+            let at = within.trailing_zeros() as usize;
+            within &= within - 1;
+            if !excluded.contains(&(self.rows[at] as usize)) {
+                best.push(squared[at], self.rows[at]);
+            }
+        }
+        best.tighten_if_more_by(LEAF / 2);
+    }
+}
+
+/// The searches of one run, compiled for the machine's vector unit.
+struct Run<'a, const K: usize> {
+    tree: &'a Fixed<K>,
+    request: &'a SearchRequest<'a>,
+    run: Range<usize>,
+    n: usize,
+}
+
+impl<const K: usize> WithSimd for Run<'_, K> {
+    type Output = Vec<Vec<Neighbor>>;
+
+    /// A rollout's steps lie close together: what was the farthest neighbor of one is, by the
+    /// triangle inequality, a limit for the next.
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Vec<Vec<Neighbor>> {
+        let Self {
+            request, run, n, ..
+        } = self;
+        let mut lists: Vec<Vec<Neighbor>> = Vec::with_capacity(run.len());
+        let mut stack = Vec::new();
+        for query in run.clone() {
+            let (values, excluded) = (request.queries.row(query), request.excluded(query));
+            let mut reach = f64::INFINITY;
+            if query > run.start && request.excluded(query - 1) == excluded {
+                let step = squared_distance(request.queries.row(query - 1), values).sqrt();
+                if let Some(last) = lists.last().and_then(|list| list.get(n - 1)) {
+                    reach = (last.distance + step) * REACH_ROUNDING;
+                }
+            }
+            // Squares of the smallest numbers underflow, their roots do not tell.
+            let squared = (reach * reach).max(f64::MIN_POSITIVE);
+            let mut best = Best::new(n, squared);
+            let point = std::array::from_fn(|column| values[column]);
+            self.tree.search(&point, &excluded, &mut best, &mut stack);
+            lists.push(best.into_neighbors());
+        }
+        lists
     }
 }
 
 impl<const K: usize> Tree for Fixed<K> {
-    fn nearest(&self, query: &[f64], n: usize, limit: f64) -> Vec<(f64, u32)> {
-        let Some(n) = NonZero::new(n) else {
-            return Vec::new();
-        };
-        let point = Self::point(query);
-        let nearest = self.0.query(&point).nearest_n::<SquaredEuclidean<f64>>(n);
-        let found = if limit.is_finite() {
-            nearest.within(limit).execute()
-        } else {
-            nearest.execute()
-        };
-        found
-            .into_iter()
-            .map(|found| (found.distance, found.item))
-            .collect()
-    }
-
-    fn within(&self, query: &[f64], squared: f64) -> Vec<(f64, u32)> {
-        self.0
-            .query(&Self::point(query))
-            .within::<SquaredEuclidean<f64>>(squared)
-            .execute()
-            .into_iter()
-            .map(|found| (found.distance, found.item))
-            .collect()
+    fn search_run(
+        &self,
+        request: &SearchRequest<'_>,
+        run: Range<usize>,
+        n: usize,
+    ) -> Vec<Vec<Neighbor>> {
+        Arch::new().dispatch(Run {
+            tree: self,
+            request,
+            run,
+            n,
+        })
     }
 }

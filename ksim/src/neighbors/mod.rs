@@ -3,10 +3,12 @@
 //! Every exact engine gives the same neighbors in the same order, ties included, because all rank
 //! by [`Matrix::squared_distance`]; they differ only in how few rows they have to rank.
 
+mod best;
 mod blocked;
 mod clusters;
 mod kd_tree;
 mod linear;
+mod quantized;
 mod scan;
 
 use std::fmt::Debug;
@@ -16,6 +18,7 @@ pub use blocked::Blocked;
 pub use clusters::Clusters;
 pub use kd_tree::KdTree;
 pub use linear::Linear;
+pub use quantized::Simd;
 
 use crate::error::SearchError;
 use crate::kmeans::KMeans;

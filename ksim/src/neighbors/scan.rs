@@ -1,4 +1,4 @@
-//! The first pass of `blocked` and `clusters`: single-precision distances of many queries to many
+//! A first pass over few rows, without an index: single-precision distances of many queries to many
 //! rows, with a bound on their error, so that only rows that can matter are ranked in f64.
 //!
 //! With x̂ and q̂ the values rounded to f32 and u = 2⁻²⁴, the difference vector is off by at most
@@ -17,11 +17,8 @@ use super::{Neighbor, rank};
 use crate::matrix::{Matrix, underflow};
 use crate::tiles::{RUN_ROWS, RowSet, TILE_ROWS, new_tile, pack, squared_distances};
 
-/// Queries that one task carries over the rows.
-pub(super) const BATCH_QUERIES: usize = 256;
-
 /// One query on its way over the rows.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Query<'a> {
     pub(super) values: &'a [f64],
     pub(super) excluded: Range<usize>,

@@ -20,7 +20,7 @@ pub enum Search {
     Linear,
     /// Exact: a k-d tree, for 1 to 8 columns.
     KdTree,
-    /// Exact: f32 first pass with a bound, then f64; any width.
+    /// Exact: a first pass over rounded rows with a bound, then f64; any width.
     Blocked,
     /// The paper's approximation: only the k-means cluster with the nearest center.
     Clusters,

@@ -1,0 +1,84 @@
+//! AVX-512 BW: 32 rows in a vector.
+
+#![expect(unsafe_code, reason = "vector instructions of one x86-64 extension")]
+
+use std::arch::x86_64::*;
+
+use super::{Lanes, Operation, VECTORS};
+
+/// Proof that the machine has AVX-512 F and BW.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Avx512(());
+
+impl Avx512 {
+    pub(super) fn detect() -> Option<Self> {
+        (is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw"))
+            .then_some(Self(()))
+    }
+
+    pub(super) fn run<O: Operation>(self, operation: O) -> O::Output {
+        #[target_feature(enable = "avx512f,avx512bw")]
+        fn inner<O: Operation>(lanes: Avx512, operation: O) -> O::Output {
+            operation.with(lanes)
+        }
+        // SAFETY: `self` exists only where the features were detected.
+        unsafe { inner(self, operation) }
+    }
+}
+
+const LANES: usize = 32;
+
+impl Lanes for Avx512 {
+    const LANES: usize = LANES;
+    type Vector = __m512i;
+
+    #[inline(always)]
+    fn splat(self, value: i16) -> __m512i {
+        // SAFETY: AVX-512 was detected.
+        unsafe { _mm512_set1_epi16(value) }
+    }
+
+    #[inline(always)]
+    fn load(self, values: &[i16]) -> __m512i {
+        let values = &values[..LANES];
+        // SAFETY: AVX-512 was detected; 64 bytes lie behind the pointer, of any alignment.
+        unsafe { _mm512_loadu_si512(values.as_ptr().cast()) }
+    }
+
+    #[inline(always)]
+    fn add(self, a: __m512i, b: __m512i) -> __m512i {
+        // SAFETY: AVX-512 was detected.
+        unsafe { _mm512_adds_epi16(a, b) }
+    }
+
+    #[inline(always)]
+    fn dot(self, sum: __m512i, query: u32, rows: &[i8]) -> __m512i {
+        let rows = &rows[..2 * LANES];
+        // SAFETY: AVX-512 was detected; 64 bytes lie behind the pointer, of any alignment.
+        unsafe {
+            let rows = _mm512_loadu_si512(rows.as_ptr().cast());
+            let products = _mm512_maddubs_epi16(_mm512_set1_epi32(query.cast_signed()), rows);
+            _mm512_adds_epi16(sum, products)
+        }
+    }
+
+    #[inline(always)]
+    fn dots(self, sums: &mut [__m512i; VECTORS], query: u32, rows: &[i8]) {
+        for (sum, rows) in sums.iter_mut().zip(rows.chunks_exact(2 * LANES)) {
+            *sum = self.dot(*sum, query, rows);
+        }
+    }
+
+    #[inline(always)]
+    fn at_least(self, sum: __m512i, limit: __m512i) -> u32 {
+        // SAFETY: AVX-512 was detected.
+        unsafe { _mm512_cmpge_epi16_mask(sum, limit) }
+    }
+
+    #[inline(always)]
+    fn any_at_least(self, sums: &[__m512i; VECTORS], limit: __m512i) -> u32 {
+        (0..VECTORS).fold(0, |bits, vector| {
+            bits | u32::from(self.at_least(sums[vector], limit) != 0) << (2 * vector)
+        })
+    }
+}

@@ -1,0 +1,261 @@
+//! What the first pass asks of a vector unit, and which units this machine has.
+//!
+//! The pass itself is written once, over [`Lanes`]; a leaf holds nothing but the loads and the
+//! arithmetic of one instruction set. All give the same integers for the same rows.
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+#[cfg(target_arch = "aarch64")]
+mod neon;
+mod scalar;
+
+/// Vectors that one step of the pass carries: as many accumulators as hide the latency of a
+/// multiply-add, and leave registers for its operands.
+pub(super) const VECTORS: usize = 8;
+
+/// Vectors of 16-bit integers, one lane to a row.
+pub(super) trait Lanes: Copy {
+    /// Rows in a vector, at most 32.
+    const LANES: usize;
+    type Vector: Copy;
+
+    fn splat(self, value: i16) -> Self::Vector;
+
+    /// The first [`LANES`](Self::LANES) values.
+    fn load(self, values: &[i16]) -> Self::Vector;
+
+    /// `a + b`, saturating.
+    fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+
+    /// Adds to every lane, saturating, the product of its two codes in `rows` with the pair of
+    /// bytes that `query` holds twice, each at most 127 (so that no product saturates).
+    fn dot(self, sum: Self::Vector, query: u32, rows: &[i8]) -> Self::Vector;
+
+    /// [`dot`](Self::dot) for [`VECTORS`] vectors, whose rows follow each other.
+    fn dots(self, sums: &mut [Self::Vector; VECTORS], query: u32, rows: &[i8]);
+
+    /// A bit for every lane that is at least `limit`.
+    fn at_least(self, sum: Self::Vector, limit: Self::Vector) -> u32;
+
+    /// Two bits for every vector, at least one of them set where a lane is at least `limit`.
+    fn any_at_least(self, sums: &[Self::Vector; VECTORS], limit: Self::Vector) -> u32;
+}
+
+/// Code that is compiled for each vector unit.
+pub(super) trait Operation {
+    type Output;
+    fn with<L: Lanes>(self, lanes: L) -> Self::Output;
+}
+
+/// A vector unit that the first pass of `blocked` and `clusters` is compiled for. The best one
+/// that the machine has is taken by itself; the answer is the same with any.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Simd {
+    /// Plain Rust, on every machine.
+    Scalar,
+    /// x86-64 with AVX2: 16 rows at a time.
+    Avx2,
+    /// x86-64 with AVX-512 BW: 32 rows at a time.
+    Avx512,
+    /// 64-bit Arm: 8 rows at a time.
+    Neon,
+}
+
+impl Simd {
+    /// Every unit, from the slowest.
+    const ALL: [Self; 4] = [Self::Scalar, Self::Neon, Self::Avx2, Self::Avx512];
+
+    /// The units of this machine, the best last.
+    pub fn available() -> Vec<Self> {
+        Self::ALL
+            .into_iter()
+            .filter(|simd| simd.is_available())
+            .collect()
+    }
+
+    /// The best unit of this machine.
+    pub fn best() -> Self {
+        Self::ALL
+            .into_iter()
+            .rev()
+            .find(|simd| simd.is_available())
+            .unwrap_or(Self::Scalar)
+    }
+
+    /// Whether this machine has it.
+    pub fn is_available(self) -> bool {
+        match self {
+            Self::Scalar => true,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => avx2::Avx2::detect().is_some(),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => avx512::Avx512::detect().is_some(),
+            #[cfg(target_arch = "aarch64")]
+            Self::Neon => neon::Neon::detect().is_some(),
+            #[allow(unreachable_patterns, reason = "depends on the architecture")]
+            _ => false,
+        }
+    }
+
+    /// Runs `operation` on this unit; on plain Rust where the machine lacks it.
+    pub(super) fn run<O: Operation>(self, operation: O) -> O::Output {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => {
+                if let Some(lanes) = avx2::Avx2::detect() {
+                    return lanes.run(operation);
+                }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => {
+                if let Some(lanes) = avx512::Avx512::detect() {
+                    return lanes.run(operation);
+                }
+            }
+            #[cfg(target_arch = "aarch64")]
+            Self::Neon => {
+                if let Some(lanes) = neon::Neon::detect() {
+                    return lanes.run(operation);
+                }
+            }
+            _ => {}
+        }
+        operation.with(scalar::Scalar)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs every operation of a unit over given lanes and writes down what comes out.
+    struct Probe<'a> {
+        rows: &'a [i8],
+        starts: &'a [i16],
+        query: u32,
+        limit: i16,
+    }
+
+    #[derive(Debug, PartialEq)]
+    struct Seen {
+        /// One bit per row: start + products at least the limit.
+        passed: Vec<bool>,
+        /// The same after adding the start once more.
+        passed_twice: Vec<bool>,
+        /// Per 32 rows, so that units of any width agree.
+        any: Vec<bool>,
+    }
+
+    impl Operation for Probe<'_> {
+        type Output = Seen;
+
+        fn with<L: Lanes>(self, lanes: L) -> Seen {
+            let mut seen = Seen {
+                passed: Vec::new(),
+                passed_twice: Vec::new(),
+                any: Vec::new(),
+            };
+            let limit = lanes.splat(self.limit);
+            let mut by_vector = Vec::new();
+            for (starts, rows) in self
+                .starts
+                .chunks_exact(VECTORS * L::LANES)
+                .zip(self.rows.chunks_exact(2 * VECTORS * L::LANES))
+            {
+                let mut sums: [L::Vector; VECTORS] =
+                    std::array::from_fn(|vector| lanes.load(&starts[vector * L::LANES..]));
+                lanes.dots(&mut sums, self.query, rows);
+                let any = lanes.any_at_least(&sums, limit);
+                for vector in 0..VECTORS {
+                    let start = lanes.load(&starts[vector * L::LANES..]);
+                    let sum = lanes.dot(start, self.query, &rows[vector * 2 * L::LANES..]);
+                    let bits = lanes.at_least(sum, limit);
+                    assert_eq!(
+                        bits,
+                        lanes.at_least(sums[vector], limit),
+                        "dot and dots differ"
+                    );
+                    let twice = lanes.at_least(lanes.add(sum, start), limit);
+                    for lane in 0..L::LANES {
+                        seen.passed.push(bits >> lane & 1 != 0);
+                        seen.passed_twice.push(twice >> lane & 1 != 0);
+                        by_vector.push(any >> (2 * vector) & 3 != 0);
+                    }
+                }
+            }
+            seen.any = by_vector
+                .chunks(32)
+                .map(|flags| flags.iter().any(|flag| *flag))
+                .collect();
+            seen
+        }
+    }
+
+    /// 512 rows: a whole number of tiles of every unit.
+    const ROWS: usize = 512;
+
+    #[test]
+    fn every_unit_does_what_plain_rust_does() {
+        let mut state = 9u64;
+        let mut next = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            state >> 40
+        };
+        for round in 0..60 {
+            let largest = [127, 5, 40][round % 3];
+            let code = |value: u64| (value % (2 * largest + 1)) as i64 - largest as i64;
+            let rows: Vec<i8> = (0..2 * ROWS).map(|_| code(next()) as i8).collect();
+            // Near both ends as well, where sums saturate.
+            let starts: Vec<i16> = (0..ROWS)
+                .map(|_| match next() % 8 {
+                    0 => i16::MIN,
+                    1 => i16::MAX,
+                    _ => (next() as i16) / [1, 64][round % 2],
+                })
+                .collect();
+            let [first, second] = [next() % (largest + 1), next() % (largest + 1)];
+            let query = (first | second << 8) as u32 * 0x0001_0001;
+            let limit = match round % 5 {
+                0 => i16::MIN,
+                1 => i16::MAX,
+                // Few rows above, so that whole vectors are below.
+                2 => i16::MAX - 40,
+                _ => next() as i16,
+            };
+            let expected: Vec<i16> = starts
+                .iter()
+                .zip(rows.as_chunks::<2>().0)
+                .map(|(&start, row)| {
+                    let products =
+                        first as i64 * i64::from(row[0]) + second as i64 * i64::from(row[1]);
+                    (i64::from(start) + products).clamp(i64::from(i16::MIN), i64::from(i16::MAX))
+                        as i16
+                })
+                .collect();
+            let passed: Vec<bool> = expected.iter().map(|&sum| sum >= limit).collect();
+            let twice = expected
+                .iter()
+                .zip(&starts)
+                .map(|(sum, start)| sum.saturating_add(*start) >= limit);
+            let seen = Seen {
+                passed_twice: twice.collect(),
+                any: passed.chunks(32).map(|rows| rows.contains(&true)).collect(),
+                passed,
+            };
+            for simd in Simd::available() {
+                let probe = Probe {
+                    rows: &rows,
+                    starts: &starts,
+                    query,
+                    limit,
+                };
+                assert_eq!(simd.run(probe), seen, "{simd:?}, round {round}");
+            }
+        }
+    }
+}
