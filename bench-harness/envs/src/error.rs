@@ -23,7 +23,7 @@ pub enum EnvironmentError {
         instead: String,
     },
     /// A maze map that is none.
-    #[error("environment `{id}`: argument `maze_map`: {source}")]
+    #[error("environment `{id}`: argument `maze_map`")]
     Maze {
         /// The environment.
         id: String,

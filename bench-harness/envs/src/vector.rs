@@ -47,7 +47,7 @@ pub enum VectorError {
         found: usize,
     },
     /// What went wrong in one environment.
-    #[error("slot {slot}: {source}")]
+    #[error("slot {slot}")]
     Slot {
         /// Its slot.
         slot: usize,

@@ -357,7 +357,7 @@ mod tests {
             (
                 "AntMaze_UMaze-v4",
                 json!({"maze_map": [[1, 1], [1]]}),
-                "argument `maze_map`: row 1",
+                "argument `maze_map`: row 1 has 1 cells, expected 2",
             ),
             (
                 "AntMaze_UMaze-v4",
@@ -383,7 +383,10 @@ mod tests {
             let Err(error) = make(id, &kwargs) else {
                 panic!("{id} took {kwargs}");
             };
-            assert!(error.to_string().contains(expected), "{error}");
+            let cause = std::error::Error::source(&error);
+            let cause = cause.map_or(String::new(), |cause| format!(": {cause}"));
+            let message = format!("{error}{cause}");
+            assert!(message.contains(expected), "{message}");
         }
     }
 }
