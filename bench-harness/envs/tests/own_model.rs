@@ -71,6 +71,10 @@ fn a_broken_model_is_named_with_what_is_wrong_and_where() {
     let motor = r#"<motor joint="way" gear="100" ctrllimited="true" ctrlrange="-2 2"/>"#;
     let lame = refuse("lame.xml", &PLATE.replace(motor, ""));
     assert!(lame.contains("no actuators"), "{lame}");
+    let limits = r#" ctrllimited="true" ctrlrange="-2 2""#;
+    let endless = refuse("endless.xml", &PLATE.replace(limits, ""));
+    let range = "actuator 0 has the control range [0, 0], expected a `ctrlrange`";
+    assert!(endless.contains(range), "{endless}");
 }
 
 #[test]
@@ -80,7 +84,7 @@ fn a_robot_of_ones_own_walks_in_the_maze() {
     <geom type="plane" size="40 40 40" condim="1"/>
     <body pos="0 0 0.5"><joint name="root" type="free"/><geom size="0.3" condim="1"/></body>
   </worldbody>
-  <actuator><motor joint="root" gear="1000 0 0 0 0 0"/></actuator>
+  <actuator><motor joint="root" gear="1000 0 0 0 0 0" ctrlrange="-1 1"/></actuator>
 </mujoco>"#;
     let make = |name: &str, xml: &str| {
         let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);

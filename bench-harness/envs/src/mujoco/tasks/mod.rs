@@ -100,19 +100,27 @@ impl<T: Task<MujocoPhysics> + 'static> Rules<T> {
     }
 }
 
-/// Lowest and highest action.
+/// Lowest and highest action, the lowest below the highest.
 fn action_ranges(
     id: &str,
     physics: &MujocoPhysics,
 ) -> Result<(Vec<f64>, Vec<f64>), EnvironmentError> {
-    let ranges = physics.control_ranges();
-    if ranges.0.is_empty() {
-        return Err(EnvironmentError::Model {
-            model: id.to_owned(),
-            message: "no actuators, expected at least one".to_owned(),
-        });
+    let refuse = |message: String| EnvironmentError::Model {
+        model: id.to_owned(),
+        message,
+    };
+    let (low, high) = physics.control_ranges();
+    if low.is_empty() {
+        return Err(refuse("no actuators, expected at least one".to_owned()));
     }
-    Ok(ranges)
+    // MuJoCo gives an actuator without limits the range from 0 to 0, to which every policy would be clipped.
+    match low.iter().zip(&high).position(|(low, high)| low >= high) {
+        None => Ok((low, high)),
+        Some(at) => Err(refuse(format!(
+            "actuator {at} has the control range [{}, {}], expected a `ctrlrange` whose first number is the smaller",
+            low[at], high[at]
+        ))),
+    }
 }
 
 /// The model of `xml_file`, where the constructor takes one: a published name, or else the path of a file.
