@@ -17,6 +17,10 @@ use super::noise::ActionNoise;
 use super::{EpisodeStart, Policy, PolicyError};
 use crate::rng::{Purpose, Rng};
 
+/// Positions and velocities of an ant, of which its observation leaves out the place.
+const ANT_STATE: [usize; 2] = [15, 14];
+/// Numbers of a place.
+const N_PLACE: usize = 2;
 /// A waypoint is reached within this distance, in meters.
 const WAYPOINT_RADIUS_M: f64 = 1.5;
 /// The near network drives within this distance of the goal, in meters.
@@ -47,7 +51,7 @@ impl Waypoint {
     /// Reads the networks that run between waypoints and near the goal, to act in `environment`.
     ///
     /// # Errors
-    /// A file that is no network, or not of an ant; an environment that is no maze.
+    /// A file that is no network, or not of an ant; an environment that is no maze, or whose robot is no ant.
     pub fn open(
         name: String,
         files: [&Path; 2],
@@ -58,6 +62,7 @@ impl Waypoint {
             policy: name.clone(),
             environment: environment.id.clone(),
         })?;
+        check_robot(&name, environment)?;
         let [far, near] = files.map(read);
         let networks = [far?, near?];
         for network in &networks {
@@ -79,6 +84,24 @@ impl Waypoint {
             drivers: Vec::new(),
         })
     }
+}
+
+/// Refuses another robot than the ant, which a maze may have by its `xml_file`.
+fn check_robot(name: &str, environment: &EnvironmentSpec) -> Result<(), PolicyError> {
+    let n_actions = environment.action_dim();
+    if n_actions != ACTION_DIM {
+        return Err(width(name, "actions", ACTION_DIM, environment, n_actions));
+    }
+    let state = ["qpos", "qvel"].map(|name| {
+        let mut parts = environment.info.iter();
+        let part = parts.find(|part| part.name == name);
+        part.map_or(0, |part| part.width)
+    });
+    if state == ANT_STATE {
+        return Ok(());
+    }
+    let n_seen = state.iter().sum::<usize>().saturating_sub(N_PLACE);
+    Err(width(name, "observations", ANT_DIM, environment, n_seen))
 }
 
 impl Policy for Waypoint {
@@ -214,6 +237,8 @@ fn wrap(angle: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use ksim_envs::Part;
+
     use super::*;
 
     const OBSERVATION_DIM: usize = 2 + ANT_DIM + 2;
@@ -245,6 +270,40 @@ mod tests {
             [(1, 1), (1, 2), (1, 3), (2, 3), (3, 3), (3, 2), (3, 1)]
         );
         assert!(distance(place, goal) < 0.01);
+    }
+
+    #[test]
+    fn another_robot_than_the_ant_is_refused() {
+        let part = |name, width| Part { name, width };
+        let spec = |n_positions, n_actions| EnvironmentSpec {
+            id: "AntMaze_UMaze-v5".to_owned(),
+            observation: vec![
+                part("achieved_goal", 2),
+                part("observation", n_positions + 14 - 2),
+                part("desired_goal", 2),
+            ],
+            action_low: vec![-1.0; n_actions],
+            action_high: vec![1.0; n_actions],
+            info: vec![part("qpos", n_positions), part("qvel", 14), part("goal", 2)],
+            max_episode_steps: 700,
+            dt_s: 0.05,
+            reports_success: true,
+            kwargs: serde_json::Map::new(),
+        };
+        let open = |spec: &EnvironmentSpec| {
+            let missing = Path::new("no such network");
+            let opened = Waypoint::open("waypoint:w".to_owned(), [missing; 2], 0.0, spec);
+            opened.expect_err("there is no network").to_string()
+        };
+        assert_eq!(
+            open(&spec(15, 4)),
+            "policy `waypoint:w` has 8 actions, environment `AntMaze_UMaze-v5` has 4"
+        );
+        assert_eq!(
+            open(&spec(11, 8)),
+            "policy `waypoint:w` has 27 observations, environment `AntMaze_UMaze-v5` has 23"
+        );
+        assert_eq!(open(&spec(15, 8)), "read no such network");
     }
 
     #[test]

@@ -49,6 +49,8 @@ pub struct Mlp {
 
 /// Numbers of an Ant's observation without contact forces.
 const ANT_DIM: usize = 27;
+/// Positions and velocities of the ant.
+const ANT_STATE: [usize; 2] = [15, 14];
 /// Numbers of the Ant's observation with the contact forces of version 3.
 const ANT_CONTACT_DIM: usize = 111;
 
@@ -106,12 +108,23 @@ impl Mlp {
 /// How many numbers of the observation the network sees, if it can act in this environment.
 fn n_seen(network: &Network, environment: &EnvironmentSpec) -> Option<usize> {
     let (wanted, given) = (network.observation_dim(), environment.observation_dim());
-    let is_ant = environment.id.starts_with("Ant-") && given >= ANT_DIM;
     if wanted == given {
         Some(given)
     } else {
-        (is_ant && [ANT_DIM, ANT_CONTACT_DIM].contains(&wanted)).then_some(ANT_DIM)
+        let is_ants = [ANT_DIM, ANT_CONTACT_DIM].contains(&wanted);
+        (is_ants && begins_as_ant(environment)).then_some(ANT_DIM)
     }
+}
+
+/// Whether an observation begins with the ant's 27 numbers: not for another robot in Ant's task, and not where the
+/// horizontal position comes first.
+fn begins_as_ant(environment: &EnvironmentSpec) -> bool {
+    let state = environment.info.iter().map(|part| part.width);
+    environment.id.starts_with("Ant-")
+        && state.eq(ANT_STATE)
+        && !environment
+            .kwargs
+            .contains_key("exclude_current_positions_from_observation")
 }
 
 pub(super) fn width(
