@@ -8,7 +8,7 @@ use ksim_envs::EnvironmentSpec;
 
 use super::{EpisodeStart, Policy, PolicyError, mlp};
 
-/// Plays the actions of a recorded dataset: episode k of a run plays the k-th episode of the recording.
+/// Plays the actions of a recorded dataset: episode k of a run plays the k-th episode of the recording that has a step.
 ///
 /// Actions go in exactly as recorded, without clipping, so that control costs are those of the recording. The states
 /// are not replayed: an episode starts where its seed says. It ends where the task ends, or, as truncated, where the

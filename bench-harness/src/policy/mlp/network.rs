@@ -62,7 +62,10 @@ pub(super) enum Activation {
 impl Activation {
     fn apply(self, values: &mut [f32]) {
         match self {
-            Self::Relu => values.iter_mut().for_each(|x| *x = x.max(0.0)),
+            // Not `max`, which turns NaN into 0: a pass that overflowed is to be seen in the action.
+            Self::Relu => values
+                .iter_mut()
+                .for_each(|x| *x = if *x < 0.0 { 0.0 } else { *x }),
             Self::Tanh => values.iter_mut().for_each(|x| *x = x.tanh()),
         }
     }

@@ -112,12 +112,17 @@ impl<'a> File<'a> {
         }
     }
 
-    fn number(&self, key: &str, is_good: fn(f64) -> bool) -> Result<f64, PolicyError> {
+    fn number(
+        &self,
+        key: &str,
+        expected: &str,
+        is_good: fn(f64) -> bool,
+    ) -> Result<f64, PolicyError> {
         let word = self.word(key)?;
         let number = word.parse().ok().filter(|&number| is_good(number));
         number.ok_or_else(|| {
             let item = format!("header `{key}`");
-            self.refuse(&item, "a positive number", format!("`{word}`"))
+            self.refuse(&item, expected, format!("`{word}`"))
         })
     }
 
@@ -178,8 +183,11 @@ impl<'a> File<'a> {
                 return Err(self.refuse(&item, expected, format!("{shape:?}")));
             }
         };
-        let bias = self.vector(&format!("{name}.bias"), n_out)?;
-        Ok((Dense::new(&narrow(&weight), &narrow(&bias)), n_out))
+        let bias_name = format!("{name}.bias");
+        let bias = self.vector(&bias_name, n_out)?;
+        let weight = self.narrow(&weight_name, &weight)?;
+        let bias = self.narrow(&bias_name, &bias)?;
+        Ok((Dense::new(&weight, &bias), n_out))
     }
 
     fn log_std(
@@ -192,7 +200,8 @@ impl<'a> File<'a> {
             return Ok(LogStd::None);
         }
         if self.has("log_std") {
-            return Ok(LogStd::Fixed(narrow(&self.vector("log_std", action_dim)?)));
+            let values = self.vector("log_std", action_dim)?;
+            return Ok(LogStd::Fixed(self.narrow("log_std", &values)?));
         }
         if !self.has("log_std.weight") {
             return Ok(LogStd::None);
@@ -211,8 +220,10 @@ impl<'a> File<'a> {
         }
         let mean = self.vector("obs_mean", width)?;
         let variance = self.vector("obs_var", width)?;
-        let eps = self.number("obs_eps", |eps| eps >= 0.0 && eps.is_finite())?;
-        let clip = self.number("obs_clip", |clip| clip > 0.0)?;
+        let eps = self.number("obs_eps", "a number of 0 or more", |eps| {
+            eps >= 0.0 && eps.is_finite()
+        })?;
+        let clip = self.number("obs_clip", "a positive number", |clip| clip > 0.0)?;
         if let Some(value) = variance.iter().find(|&&v| v < 0.0 || v + eps <= 0.0) {
             return Err(self.refuse("tensor `obs_var`", "positive numbers", value.to_string()));
         }
@@ -223,6 +234,18 @@ impl<'a> File<'a> {
         }))
     }
 
+    /// To the f32 that the networks were trained in.
+    fn narrow(&self, name: &str, values: &[f64]) -> Result<Vec<f32>, PolicyError> {
+        let narrowed: Vec<f32> = values.iter().map(|&value| value as f32).collect();
+        match narrowed.iter().position(|value| !value.is_finite()) {
+            None => Ok(narrowed),
+            Some(at) => {
+                let (item, found) = (format!("tensor `{name}`"), format!("{:e}", values[at]));
+                Err(self.refuse(&item, "numbers within the range of f32", found))
+            }
+        }
+    }
+
     /// A tensor that nothing was done with would be a network that is run wrongly.
     fn refuse_rest(&self) -> Result<(), PolicyError> {
         let Some(name) = self.rest.first() else {
@@ -231,9 +254,4 @@ impl<'a> File<'a> {
         let expected = "layers.N, mean, log_std, obs_mean and obs_var only";
         Err(self.refuse("tensors", expected, format!("`{name}`")))
     }
-}
-
-/// To the f32 that the networks were trained in.
-fn narrow(values: &[f64]) -> Vec<f32> {
-    values.iter().map(|&value| value as f32).collect()
 }

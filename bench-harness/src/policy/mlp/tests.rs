@@ -106,6 +106,21 @@ fn hidden_layers_wider_than_a_block_sum_every_input_once() {
 }
 
 #[test]
+fn a_pass_that_overflows_is_seen_in_the_action() {
+    // Both units add up infinities of either sign.
+    let huge = [3e38, -3e38, -3e38, 3e38];
+    let network = Weights::new("gaussian")
+        .header("activation", "relu")
+        .with("layers.0.weight", &[2, 2], &huge)
+        .with("layers.0.bias", &[2], &[0.0, 0.0])
+        .with("mean.weight", &[1, 2], &[1.0, 1.0])
+        .with("mean.bias", &[1], &[0.5]);
+    let mut mlp = network.open(MlpOptions::default()).unwrap();
+    assert!(act(&mut mlp, 0, [9.0, 9.0]).is_nan());
+    assert_eq!(act(&mut mlp, 0, [0.0, 0.0]), 0.5);
+}
+
+#[test]
 fn observations_are_normalized_in_f64_and_clipped() {
     let doubles = |values: [f64; 2]| values.iter().flat_map(|v| v.to_le_bytes()).collect();
     let network = Weights::linear()
@@ -207,6 +222,15 @@ fn what_does_not_fit_is_refused_by_name() {
             "tensor `mean.weight`: expected finite numbers, found NaN",
         ),
         (
+            Weights::linear().raw(
+                "mean.bias",
+                Dtype::F64,
+                &[1],
+                1e300f64.to_le_bytes().to_vec(),
+            ),
+            "tensor `mean.bias`: expected numbers within the range of f32, found 1e300",
+        ),
+        (
             Weights::linear().raw("mean.bias", Dtype::I32, &[1], vec![0; 4]),
             "expected F32 or F64, found I32",
         ),
@@ -255,9 +279,11 @@ fn damaged_files_are_errors() {
 
 #[test]
 fn ants_of_older_versions_see_27_numbers_and_zeros() {
+    let part = |name, width| ksim_envs::Part { name, width };
     let ant = |id: &str, width: usize| EnvironmentSpec {
         id: id.to_owned(),
-        observation: vec![ksim_envs::Part { name: "", width }],
+        observation: vec![part("", width)],
+        info: vec![part("qpos", 15), part("qvel", 14)],
         ..point_mass(None).spec().clone()
     };
     let wide = Network {
@@ -272,6 +298,15 @@ fn ants_of_older_versions_see_27_numbers_and_zeros() {
     assert_eq!(n_seen(&wide, &ant("Ant-v5", 105)), Some(27));
     assert_eq!(n_seen(&wide, &ant("Ant-v4", 111)), Some(111));
     assert_eq!(n_seen(&wide, &ant("Walker2d-v4", 27)), None);
+    // x and y come first.
+    let mut placed = ant("Ant-v5", 107);
+    let shown = "exclude_current_positions_from_observation".to_owned();
+    placed.kwargs.insert(shown, false.into());
+    assert_eq!(n_seen(&wide, &placed), None);
+    // Another robot.
+    let mut other = ant("Ant-v5", 105);
+    other.info[0].width = 11;
+    assert_eq!(n_seen(&wide, &other), None);
     let mut pass = Pass::default();
     wide.forward(&[1.0; 27], &mut pass);
     let mut action = [0.0];
