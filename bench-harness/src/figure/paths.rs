@@ -50,12 +50,14 @@ pub enum FigureError {
     /// Nothing to draw.
     #[error("there are no episodes to draw")]
     NoEpisodes,
-    /// A position or goal that is not finite.
-    #[error("{title}, step {step}: the position is not finite")]
+    /// A position, goal or score that is not finite.
+    #[error("{title}, step {step}: the {what} is not finite")]
     NotFinite {
         /// The episode.
         title: String,
-        /// Row of the position, from 0.
+        /// `position` or `score`.
+        what: &'static str,
+        /// Its row, from 0.
         step: usize,
     },
     /// Scores for some episodes only, or not one for every step.
@@ -136,8 +138,11 @@ fn check(episodes: &[EpisodePath]) -> Result<(), FigureError> {
     for episode in episodes {
         let mut points = episode.positions_m.iter().chain(&episode.goals_m);
         if let Some(step) = points.position(|point| !point.iter().all(|m| m.is_finite())) {
-            let title = episode.title.clone();
-            return Err(FigureError::NotFinite { title, step });
+            return Err(not_finite(episode, "position", step));
+        }
+        let mut scores = episode.scores.iter().flatten();
+        if let Some(step) = scores.position(|score| !score.is_finite()) {
+            return Err(not_finite(episode, "score", step));
         }
         let n_points = episode.positions_m.len();
         let found = episode.scores.as_ref().map_or(0, Vec::len);
@@ -156,6 +161,14 @@ fn check(episodes: &[EpisodePath]) -> Result<(), FigureError> {
     {
         true => Ok(()),
         false => Err(FigureError::NoEpisodes),
+    }
+}
+
+fn not_finite(episode: &EpisodePath, what: &'static str, step: usize) -> FigureError {
+    FigureError::NotFinite {
+        title: episode.title.clone(),
+        what,
+        step,
     }
 }
 
@@ -289,6 +302,12 @@ mod tests {
         let none: Result<_, _> = draw("", &maze(), &[], Layout::Panels);
         assert_eq!(none, Err(FigureError::NoEpisodes));
         let mut one = episode(3);
+        one.scores = Some(vec![0.5, f64::NAN]);
+        let error = draw("", &maze(), &[one.clone()], Layout::Panels).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "episode 0, step 1: the score is not finite"
+        );
         one.positions_m[1][0] = f64::NAN;
         let error = draw("", &maze(), &[one], Layout::Panels).unwrap_err();
         assert!(matches!(error, FigureError::NotFinite { step: 1, .. }));
