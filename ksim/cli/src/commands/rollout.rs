@@ -130,13 +130,13 @@ pub(super) fn text(played: &Played, summary: &Summary) -> String {
         ("policy", about("policy")),
         ("seed", about("seed")),
         ("episodes", episodes(played, summary)),
-        ("return", estimate(&summary.total_return)),
+        ("return", estimate(&summary.total_return, "episodes")),
     ];
     if let Some(score) = &summary.normalized_score {
-        rows.push(("normalized score", estimate(score)));
+        rows.push(("normalized score", estimate(score, "episodes")));
     }
     if let Some(iqm) = &summary.iqm_of_runs {
-        rows.push(("IQM of runs", estimate(iqm)));
+        rows.push(("IQM of runs", estimate(iqm, "runs")));
     }
     if let Some(success) = &summary.success {
         rows.push(("success at any step", rate(&success.ever)));
@@ -170,11 +170,12 @@ fn episodes(played: &Played, summary: &Summary) -> String {
     }
 }
 
-fn estimate(estimate: &Estimate) -> String {
+/// A number with its interval; `over` is what was resampled.
+fn estimate(estimate: &Estimate, over: &str) -> String {
     let value = table::decimals(estimate.value);
     match estimate.interval {
         Some([low, high]) => format!(
-            "{value}  95 % interval [{}, {}] by bootstrap over episodes",
+            "{value}  95 % interval [{}, {}] by bootstrap over {over}",
             table::decimals(low),
             table::decimals(high)
         ),

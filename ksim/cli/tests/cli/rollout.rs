@@ -195,6 +195,33 @@ fn faults_name_what_is_wrong() {
     of("no-such-thing").failed(1, &["not on this machine"]);
 }
 
+#[test]
+fn an_interval_says_what_it_is_over() {
+    let run = point_mass(&["--episodes", "3", "--runs", "2"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    for (what, over) in [("return ", "over episodes"), ("IQM of runs ", "over runs")] {
+        let line = run.stdout.lines().find(|line| line.starts_with(what));
+        assert!(
+            line.is_some_and(|line| line.ends_with(over)),
+            "{}",
+            run.stdout
+        );
+    }
+}
+
+#[cfg(feature = "mujoco")]
+#[test]
+fn a_map_that_is_no_maze_is_named_once() {
+    let rollout = ["rollout", "--env", "AntMaze_UMaze-v4", "--policy", "zero"];
+    let flags = ["--episodes", "1", "--env-arg", "maze_map=[[1]]"];
+    let run = ksim(rollout.iter().chain(&flags));
+    run.failed(
+        1,
+        &["`AntMaze_UMaze-v4`: argument `maze_map`: no cell for a goal"],
+    );
+    assert_eq!(run.stderr.matches("no cell for a goal").count(), 1);
+}
+
 #[cfg(not(feature = "mujoco"))]
 #[test]
 fn without_mujoco_the_command_says_what_to_install() {
