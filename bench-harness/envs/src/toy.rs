@@ -154,6 +154,14 @@ mod tests {
     }
 
     #[test]
+    fn the_documentation_says_what_it_is() {
+        let documentation = include_str!("../../../docs/environments.md");
+        let row =
+            format!("| `{POINT_MASS_ID}` | 2 | 1 | {DT_S} s | {MAX_EPISODE_STEPS} | at the goal |");
+        assert!(documentation.contains(&row), "{row}");
+    }
+
+    #[test]
     fn a_maze_cell_is_refused() {
         let options = ResetOptions {
             reset_cell: Some((1, 2)),
