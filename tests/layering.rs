@@ -15,7 +15,7 @@ struct Rule {
     is_library: bool,
 }
 
-const RULES: [Rule; 7] = [
+const RULES: [Rule; 8] = [
     Rule {
         package: "ksim",
         may: &[],
@@ -35,6 +35,21 @@ const RULES: [Rule; 7] = [
         package: "ksim-datasets",
         may: &[],
         never: &["tch", "torch-sys", "mujoco*", "clap*", "anyhow"],
+        is_library: true,
+    },
+    Rule {
+        package: "ksim-index",
+        may: &["ksim"],
+        never: &[
+            "tch",
+            "torch-sys",
+            "mujoco*",
+            "hdf5*",
+            "arrow*",
+            "parquet*",
+            "clap*",
+            "anyhow",
+        ],
         is_library: true,
     },
     Rule {
@@ -62,6 +77,7 @@ const RULES: [Rule; 7] = [
             "ksim-bench-harness",
             "ksim-datasets",
             "ksim-envs",
+            "ksim-index",
             "ksim-planners",
         ],
         never: &[],

@@ -76,6 +76,12 @@ impl AtomicFile {
         })
     }
 
+    /// The file itself, open for reading and writing too, with everything in it that was written so far.
+    pub(crate) fn file(&mut self) -> io::Result<&File> {
+        self.staged.flush()?;
+        Ok(self.staged.get_ref())
+    }
+
     /// Puts the file in its place, replacing one that is there.
     pub(crate) fn publish(self) -> Result<()> {
         let Self { target, staged } = self;

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{bench, convert, dataset, demo, env, plot, rollout, score};
+use crate::commands::{bench, convert, dataset, demo, env, index, plot, rollout, score};
 use crate::context::{Context, GlobalArgs};
 use crate::outcome::CommandOutcome;
 
@@ -27,6 +27,7 @@ enum Command {
     Plot(plot::PlotArgs),
     Convert(Box<convert::ConvertArgs>),
     Dataset(dataset::DatasetArgs),
+    Index(index::IndexArgs),
     Bench(bench::BenchArgs),
     Demo(demo::DemoArgs),
 }
@@ -42,6 +43,7 @@ impl Cli {
             Command::Plot(args) => plot::run(&args, &context),
             Command::Convert(args) => convert::run(&args, &context),
             Command::Dataset(args) => dataset::run(&args, &context),
+            Command::Index(args) => index::run(&args, &context),
             Command::Bench(args) => bench::run(&args, &context),
             Command::Demo(args) => demo::run(&args, &context),
         }

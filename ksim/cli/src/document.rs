@@ -120,6 +120,9 @@ pub(crate) struct SearchPart {
     pub(crate) requested: &'static str,
     pub(crate) engine: &'static str,
     pub(crate) exact: bool,
+    /// The saved index that took the place of reading the dataset.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) index: Option<String>,
     pub(crate) clusters: Option<ClustersPart>,
 }
 
@@ -276,6 +279,7 @@ impl SearchPart {
             requested: settings.search.name(),
             engine: index.engine(),
             exact: index.is_exact(),
+            index: None,
             clusters,
         }
     }

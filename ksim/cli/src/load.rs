@@ -2,13 +2,15 @@
 
 use std::borrow::Cow;
 use std::collections::HashMap;
+use std::path::Path;
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use arrow::datatypes::DataType;
-use ksim::{DataError, Trajectories};
+use ksim::{DataError, EpisodeRows, Trajectories};
 use ksim_datasets::{
     DatasetSource, ObservationLayout, TransitionOptions, TransitionReader, Transitions,
 };
+use ksim_index::{IndexError, StagedSteps};
 
 use crate::context::Context;
 
@@ -50,27 +52,67 @@ impl Steps {
     }
 
     fn push_run(&mut self, run: &Run<'_>, columns: &Columns) -> Result<()> {
-        let known = match self.trajectories.episodes().last() {
-            Some(last) if last.episode_index == run.episode => last.rows.len(),
-            _ => 0,
-        };
-        let counted = (known as i64..).take(run.numbers.len());
-        if self.numbers.is_none() && !run.numbers.iter().copied().eq(counted) {
-            let episodes = self.trajectories.episodes().iter();
-            self.numbers = Some(
-                episodes
-                    .flat_map(|episode| 0..episode.rows.len() as i64)
-                    .collect(),
-            );
-        }
-        self.trajectories
-            .push(run.episode, run.states, run.actions)
-            .map_err(|error| columns.placed(error, run, known))?;
-        if let Some(numbers) = &mut self.numbers {
-            numbers.extend(run.numbers);
-        }
-        Ok(())
+        push_run(&mut self.trajectories, &mut self.numbers, run, columns)
     }
+}
+
+/// Where steps are kept.
+trait StepStore {
+    /// The episodes so far.
+    fn episodes(&self) -> &[EpisodeRows];
+    /// Appends consecutive steps of one episode.
+    fn push(&mut self, episode: i64, states: &[f64], actions: &[f64]) -> Result<(), IndexError>;
+}
+
+impl StepStore for Trajectories {
+    fn episodes(&self) -> &[EpisodeRows] {
+        self.episodes()
+    }
+
+    fn push(&mut self, episode: i64, states: &[f64], actions: &[f64]) -> Result<(), IndexError> {
+        Ok(self.push(episode, states, actions)?)
+    }
+}
+
+impl StepStore for StagedSteps {
+    fn episodes(&self) -> &[EpisodeRows] {
+        self.episodes()
+    }
+
+    fn push(&mut self, episode: i64, states: &[f64], actions: &[f64]) -> Result<(), IndexError> {
+        self.push(episode, states, actions)
+    }
+}
+
+/// Appends a run, and its numbers from the first on that does not count on.
+fn push_run(
+    store: &mut impl StepStore,
+    numbers: &mut Option<Vec<i64>>,
+    run: &Run<'_>,
+    columns: &Columns,
+) -> Result<()> {
+    let known = match store.episodes().last() {
+        Some(last) if last.episode_index == run.episode => last.rows.len(),
+        _ => 0,
+    };
+    let counted = (known as i64..).take(run.numbers.len());
+    if numbers.is_none() && !run.numbers.iter().copied().eq(counted) {
+        let episodes = store.episodes().iter();
+        *numbers = Some(
+            episodes
+                .flat_map(|episode| 0..episode.rows.len() as i64)
+                .collect(),
+        );
+    }
+    let pushed = store.push(run.episode, run.states, run.actions);
+    pushed.map_err(|error| match error {
+        IndexError::Data(error) => columns.placed(error, run, known),
+        other => other.into(),
+    })?;
+    if let Some(numbers) = numbers {
+        numbers.extend(run.numbers);
+    }
+    Ok(())
 }
 
 /// Recorded step numbers of a dataset, by row.
@@ -78,6 +120,16 @@ impl Steps {
 pub(crate) struct StepNumbers(Option<Vec<i64>>);
 
 impl StepNumbers {
+    /// Numbers as an index has them.
+    pub(crate) fn new(numbers: Option<Vec<i64>>) -> Self {
+        Self(numbers)
+    }
+
+    /// The numbers, where they do not count from 0 in every episode.
+    pub(crate) fn values(&self) -> Option<&[i64]> {
+        self.0.as_deref()
+    }
+
     /// As [`Steps::number`].
     pub(crate) fn number(&self, row: usize, position: usize) -> i64 {
         self.0
@@ -168,6 +220,34 @@ pub(crate) fn dataset(
     }
 }
 
+/// Reads a whole dataset into temporary files in `folder`: for one that may not fit into memory.
+pub(crate) fn staged(
+    source: &dyn DatasetSource,
+    columns: &Columns,
+    folder: &Path,
+    context: &Context,
+) -> Result<(StagedSteps, StepNumbers)> {
+    let mut staged = None;
+    let mut numbers = None;
+    each_batch(source, columns, None, context, &mut |batch| {
+        each_run(
+            batch,
+            columns,
+            &mut |_, run, [state_width, action_width]| {
+                let steps = match &mut staged {
+                    Some(steps) => steps,
+                    none => none.insert(StagedSteps::new(folder, state_width, action_width)?),
+                };
+                push_run(steps, &mut numbers, run, columns)
+            },
+        )
+    })?;
+    match staged {
+        Some(steps) => Ok((steps, StepNumbers(numbers))),
+        None => bail!("{}: no steps", source.info().path.display()),
+    }
+}
+
 /// Reads rollouts, one group per planner if the file names planners, in order of appearance.
 pub(crate) fn rollouts(
     source: &dyn DatasetSource,
@@ -221,6 +301,25 @@ fn load(
     text_column: Option<&str>,
     context: &Context,
 ) -> Result<Vec<Steps>> {
+    let mut groups = Groups {
+        columns,
+        groups: Vec::new(),
+        by_planner: HashMap::new(),
+    };
+    each_batch(source, columns, text_column, context, &mut |batch| {
+        groups.push(batch)
+    })?;
+    Ok(groups.groups)
+}
+
+/// Reads a source batch by batch.
+fn each_batch(
+    source: &dyn DatasetSource,
+    columns: &Columns,
+    text_column: Option<&str>,
+    context: &Context,
+    visit: &mut dyn FnMut(&Transitions) -> Result<()>,
+) -> Result<()> {
     let info = source.info();
     let what = format!("reading {}", info.id);
     let progress = match info.n_steps {
@@ -232,21 +331,44 @@ fn load(
         text_column: text_column.map(str::to_owned),
         ..TransitionOptions::default()
     };
-    let mut groups = Groups {
-        columns,
-        groups: Vec::new(),
-        by_planner: HashMap::new(),
-    };
     let mut done = 0;
     for batch in TransitionReader::new(source, &options)? {
         let batch = batch.map_err(|error| error.in_file(&info.path))?;
-        groups
-            .push(&batch)
-            .with_context(|| info.path.display().to_string())?;
+        visit(&batch).with_context(|| info.path.display().to_string())?;
         done += batch.n_rows() as u64;
         progress.set(done);
     }
-    Ok(groups.groups)
+    Ok(())
+}
+
+/// Visits the runs of a batch, with their planner and the widths of states and actions.
+fn each_run(
+    batch: &Transitions,
+    columns: &Columns,
+    visit: &mut dyn FnMut(Option<&str>, &Run<'_>, [usize; 2]) -> Result<()>,
+) -> Result<()> {
+    let planner = |row: usize| batch.text.as_ref().and_then(|text| text[row].as_deref());
+    let key = |row: usize| (batch.episode_index[row], planner(row));
+    let (actions, action_width) = match &columns.actions {
+        Some(places) => (Cow::Owned(picked(batch, places)), places.len()),
+        None => (Cow::Borrowed(&*batch.actions), batch.action_width),
+    };
+    let mut start = 0;
+    while start < batch.n_rows() {
+        let same = (start..batch.n_rows())
+            .take_while(|&row| key(row) == key(start))
+            .count();
+        let rows = start..start + same;
+        let run = Run {
+            episode: batch.episode_index[start],
+            numbers: &batch.step_index[rows.clone()],
+            states: &batch.states[rows.start * batch.state_width..rows.end * batch.state_width],
+            actions: &actions[rows.start * action_width..rows.end * action_width],
+        };
+        visit(planner(start), &run, [batch.state_width, action_width])?;
+        start = rows.end;
+    }
+    Ok(())
 }
 
 /// Rows sorted by planner.
@@ -258,35 +380,17 @@ struct Groups<'a> {
 
 impl Groups<'_> {
     fn push(&mut self, batch: &Transitions) -> Result<()> {
-        let planner = |row: usize| batch.text.as_ref().and_then(|text| text[row].as_deref());
-        let key = |row: usize| (batch.episode_index[row], planner(row));
-        let (actions, action_width) = match &self.columns.actions {
-            Some(places) => (Cow::Owned(picked(batch, places)), places.len()),
-            None => (Cow::Borrowed(&*batch.actions), batch.action_width),
-        };
-        let mut start = 0;
-        while start < batch.n_rows() {
-            let same = (start..batch.n_rows())
-                .take_while(|&row| key(row) == key(start))
-                .count();
-            let rows = start..start + same;
-            let run = Run {
-                episode: batch.episode_index[start],
-                numbers: &batch.step_index[rows.clone()],
-                states: &batch.states[rows.start * batch.state_width..rows.end * batch.state_width],
-                actions: &actions[rows.start * action_width..rows.end * action_width],
-            };
-            let group = self.group(planner(start), (batch.state_width, action_width))?;
-            self.groups[group].push_run(&run, self.columns)?;
-            start = rows.end;
-        }
-        Ok(())
+        let columns = self.columns;
+        each_run(batch, columns, &mut |planner, run, widths| {
+            let group = self.group(planner, widths)?;
+            self.groups[group].push_run(run, columns)
+        })
     }
 
     fn group(
         &mut self,
         planner: Option<&str>,
-        (state_width, action_width): (usize, usize),
+        [state_width, action_width]: [usize; 2],
     ) -> Result<usize> {
         let planner = planner.map(str::to_owned);
         if let Some(&group) = self.by_planner.get(&planner) {

@@ -9,6 +9,7 @@ mod context;
 mod data_args;
 mod document;
 mod episodes_table;
+mod indexed;
 mod load;
 mod outcome;
 mod output;

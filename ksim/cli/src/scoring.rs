@@ -4,8 +4,9 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
-use ksim::{ApproximationError, KSim, Report, ScoreOptions, Search};
+use ksim::{ApproximationError, KMeans, KSim, Reference, Report, ScoreOptions, Search};
 use ksim_datasets::{DatasetInfo, DatasetSource, OpenOptions};
+use ksim_index::SavedIndex;
 
 use crate::atomic;
 use crate::centers::Centers;
@@ -14,6 +15,7 @@ use crate::data_args;
 use crate::document::{
     DatasetPart, Document, Parameters, RolloutResult, SCHEMA, SearchPart, fingerprint,
 };
+use crate::indexed::{self, Request};
 use crate::load::{self, Columns, StepNumbers, Steps};
 use crate::outcome::CommandOutcome;
 use crate::pairing::{self, Listed};
@@ -34,6 +36,8 @@ pub(crate) struct Job {
     pub(crate) dataset: String,
     /// How to open it.
     pub(crate) dataset_options: OpenOptions,
+    /// A saved index of it.
+    pub(crate) index: Option<PathBuf>,
     /// Names or paths of the rollouts.
     pub(crate) rollouts: Vec<String>,
     /// How to open them.
@@ -66,6 +70,8 @@ struct Fitted {
     ksim: KSim,
     /// An exact search over the same reference, if the approximation error is wanted.
     exact: Option<KSim>,
+    /// The index the reference lies in.
+    saved: Option<SavedIndex>,
     steps: StepNumbers,
     dataset: DatasetPart,
     parameters: Parameters,
@@ -84,7 +90,7 @@ pub(crate) fn run(job: &Job, context: &Context) -> Result<(Document, CommandOutc
     }
     let inputs = open(job, context)?;
     check_output(job, &inputs)?;
-    let fitted = fit(&inputs, &job.settings, context)?;
+    let fitted = fit(&inputs, job, context)?;
     let results = score_all(&inputs, &fitted, job, context)?;
     let document = Document {
         schema: SCHEMA,
@@ -140,7 +146,8 @@ fn check_output(job: &Job, inputs: &Inputs) -> Result<()> {
     let sources = rollouts.chain([&*inputs.dataset]);
     let paths = sources.map(|source| &*source.info().path);
     let centers = job.settings.centers.iter().map(|file| &*file.path);
-    atomic::check_not_an_input(target, paths.chain(centers))
+    let index = job.index.as_deref();
+    atomic::check_not_an_input(target, paths.chain(centers).chain(index))
 }
 
 fn warn_of(info: &DatasetInfo, context: &Context) {
@@ -149,42 +156,89 @@ fn warn_of(info: &DatasetInfo, context: &Context) {
     }
 }
 
-/// Reads the dataset and builds the search over it.
-fn fit(inputs: &Inputs, settings: &Settings, context: &Context) -> Result<Fitted> {
-    let source = &*inputs.dataset;
-    let info = source.info();
+/// A reference that is normalized, or to be.
+struct Prepared {
+    reference: Reference,
+    clusters: Option<KMeans>,
+    fingerprint: String,
+    steps: StepNumbers,
+    saved: Option<SavedIndex>,
+}
+
+/// Takes the reference from the index, or reads and normalizes the dataset.
+fn prepare(
+    inputs: &Inputs,
+    centers: Option<&Centers>,
+    job: &Job,
+    context: &Context,
+) -> Result<Prepared> {
+    let (source, columns) = (&*inputs.dataset, &inputs.columns);
+    if let Some(path) = &job.index {
+        let request = Request {
+            source,
+            options: &job.dataset_options,
+            columns,
+            settings: &job.settings,
+            centers,
+        };
+        let indexed = indexed::open(path, &request, context)?;
+        return Ok(Prepared {
+            reference: indexed.reference,
+            clusters: indexed.clusters,
+            fingerprint: indexed.saved.about().dataset.fingerprint.clone(),
+            steps: indexed.numbers,
+            saved: Some(indexed.saved),
+        });
+    }
+    let (data, steps) = load::dataset(source, columns, context)?.into_parts();
+    Ok(Prepared {
+        fingerprint: data.fingerprint(),
+        reference: Reference::new(data)?,
+        clusters: None,
+        steps,
+        saved: None,
+    })
+}
+
+/// Builds the search over the dataset.
+fn fit(inputs: &Inputs, job: &Job, context: &Context) -> Result<Fitted> {
+    let settings = &job.settings;
+    let info = inputs.dataset.info();
     let columns = &inputs.columns;
     let centers = read_centers(settings, columns.indices.len())?;
-    let (reference, steps) = load::dataset(source, columns, context)?.into_parts();
+    let prepared = prepare(inputs, centers.as_ref(), job, context)?;
+    let reference = prepared.reference;
     let dataset = DatasetPart {
         n_episodes: reference.episodes().len(),
-        n_steps: reference.n_rows(),
-        fingerprint: reference.fingerprint(),
+        n_steps: reference.states().n_rows(),
+        fingerprint: prepared.fingerprint,
         ..DatasetPart::new(&inputs.dataset_name, info)
     };
-    let mut parameters = Parameters::new(settings, columns, reference.action_dim());
-    let working = match (settings.search, &centers) {
-        (Search::Clusters, None) => "fitting the clusters",
+    let mut parameters = Parameters::new(settings, columns, reference.actions().n_features());
+    let working = match (settings.search, &centers, &prepared.clusters) {
+        (Search::Clusters, None, None) => "fitting the clusters",
         _ => "building the search",
     };
     let progress = context.spinner(working.to_owned());
     let given = centers.as_ref().map(|centers| centers.values.clone());
     let ksim = settings
         .params(given)
-        .fit(reference)
+        .fit_prepared(reference, prepared.clusters)
         .with_context(|| info.path.display().to_string())?;
     let exact = settings
         .approximation_error
         .then(|| ksim.with_search(Search::Auto))
         .transpose()?;
     drop(progress);
-    let search = SearchPart::new(settings, centers.as_ref(), &ksim);
+    let mut search = SearchPart::new(settings, centers.as_ref(), &ksim);
+    search.index = job.index.as_ref().map(|path| path.display().to_string());
     parameters.n_clusters = search.clusters.as_ref().map(|clusters| clusters.n_clusters);
     let fingerprint = fingerprint(&dataset, &parameters, &search, centers.as_ref());
     Ok(Fitted {
         ksim,
         exact,
-        steps,
+        saved: prepared.saved,
+        steps: prepared.steps,
         dataset,
         parameters,
         search,
@@ -270,7 +324,12 @@ fn score_one(
     let started = Instant::now();
     let n_steps = steps.trajectories.n_rows() as u64;
     let progress = context.bar(format!("scoring {file}"), n_steps, "steps");
-    let mut set = |done: usize| progress.set(done as u64);
+    let mut set = |done: usize| {
+        progress.set(done as u64);
+        if let Some(saved) = &fitted.saved {
+            saved.release();
+        }
+    };
     let mut options = ScoreOptions {
         exclude_same_episode: settings.exclude_same_episode,
         progress: Some(&mut set),

@@ -2,7 +2,7 @@
 
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
-use ksim::{KMeans, KMeansBackend, KSim, KSimParams, Search};
+use ksim::{KMeans, KMeansBackend, KMeansParams, KSim, KSimParams, Search};
 
 use crate::centers::CentersFile;
 
@@ -45,7 +45,8 @@ impl Definition {
         }
     }
 
-    fn state_columns(self) -> Option<&'static str> {
+    /// The state columns it chooses; `None` for all.
+    pub(crate) fn state_columns(self) -> Option<&'static str> {
         match self {
             Self::Paper => None,
             Self::Released => Some("0..2"),
@@ -122,7 +123,7 @@ pub(crate) enum SearchName {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum BackendName {
+pub(crate) enum BackendName {
     /// Our own
     Ksim,
     /// linfa's, as an independent reference
@@ -250,9 +251,7 @@ impl Settings {
 
     /// The engine's parameters; given centers are `centers`.
     pub(crate) fn params(&self, centers: Option<Vec<f64>>) -> KSimParams {
-        let kmeans = KMeans::params(self.n_clusters)
-            .seed(self.seed)
-            .backend(self.backend);
+        let kmeans = self.clusters().params();
         let params = KSim::params()
             .gamma(self.gamma)
             .n_neighbors(self.n_neighbors)
@@ -267,6 +266,49 @@ impl Settings {
     }
 
     /// The name of the k-means backend.
+    pub(crate) fn backend_name(&self) -> &'static str {
+        self.clusters().backend_name()
+    }
+
+    fn clusters(&self) -> ClusterSettings {
+        ClusterSettings {
+            n_clusters: self.n_clusters,
+            seed: self.seed,
+            backend: self.backend,
+        }
+    }
+}
+
+/// How clusters are fitted.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ClusterSettings {
+    n_clusters: usize,
+    seed: u64,
+    backend: KMeansBackend,
+}
+
+impl ClusterSettings {
+    /// Of flags; the paper's number where none is given.
+    pub(crate) fn new(
+        n_clusters: Option<usize>,
+        seed: u64,
+        backend: BackendName,
+    ) -> Result<Self, clap::Error> {
+        Ok(Self {
+            n_clusters: n_clusters.unwrap_or(PAPER_CLUSTERS),
+            seed,
+            backend: backend.backend()?,
+        })
+    }
+
+    /// The engine's parameters.
+    pub(crate) fn params(&self) -> KMeansParams {
+        KMeans::params(self.n_clusters)
+            .seed(self.seed)
+            .backend(self.backend)
+    }
+
+    /// The name of the k-means.
     pub(crate) fn backend_name(&self) -> &'static str {
         match self.backend {
             KMeansBackend::Ksim => "ksim",
@@ -309,7 +351,7 @@ fn usage(kind: ErrorKind, message: String) -> clap::Error {
 }
 
 /// Rows are numbered by 32 bits, so no larger count means anything.
-fn parse_count(text: &str) -> Result<usize, String> {
+pub(crate) fn parse_count(text: &str) -> Result<usize, String> {
     parse_within(text, 1, u32::MAX as usize)
 }
 

@@ -68,6 +68,7 @@ pub(crate) fn run(args: &DemoArgs, context: &Context) -> Result<CommandOutcome> 
     let job = Job {
         dataset: at(&DATASET),
         dataset_options: OpenOptions::default(),
+        index: None,
         rollouts: ROLLOUTS.iter().map(at).collect(),
         rollout_options: OpenOptions::default(),
         settings: Settings::default(),

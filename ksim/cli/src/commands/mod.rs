@@ -5,6 +5,7 @@ pub(crate) mod convert;
 pub(crate) mod dataset;
 pub(crate) mod demo;
 pub(crate) mod env;
+pub(crate) mod index;
 pub(crate) mod plot;
 pub(crate) mod rollout;
 pub(crate) mod score;

@@ -25,6 +25,9 @@ pub(crate) struct ScoreArgs {
     /// The dataset to compare with: a file, a folder, or a name such as antmaze-large-play
     #[arg(long, value_name = "NAME|PATH")]
     dataset: String,
+    /// Use this index of the dataset, from `ksim index build`, instead of reading it; the scores are the same
+    #[arg(long, value_name = "FILE")]
+    index: Option<PathBuf>,
     /// How to print the result
     #[arg(long, value_enum, default_value_t = OutputFormat::Text)]
     format: OutputFormat,
@@ -45,6 +48,7 @@ pub(crate) struct ScoreArgs {
 pub(crate) fn run(args: &ScoreArgs, context: &Context) -> Result<CommandOutcome> {
     let job = Job {
         dataset: args.dataset.clone(),
+        index: args.index.clone(),
         dataset_options: args.data.dataset_open_options(&args.dataset_columns),
         rollouts: args.rollouts.clone(),
         rollout_options: args.data.open_options(),

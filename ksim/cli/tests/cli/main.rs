@@ -8,6 +8,7 @@ mod download;
 mod faults;
 #[cfg(feature = "hdf5")]
 mod golden;
+mod index;
 #[cfg(feature = "mcap")]
 mod mcap;
 mod pairing;
