@@ -10,6 +10,19 @@ const SIGNS: usize = 4;
 /// Bytes of a pair of columns in one strip.
 const PAIR_BYTES: usize = GROUP_BYTES / 2;
 
+/// Per sign pattern, what negates the codes of a strip: all bits, then minus itself. A table, so that
+/// compilers see vectors.
+static FLIPS: [[i8; PAIR_BYTES]; SIGNS] = {
+    let mut flips = [[0; PAIR_BYTES]; SIGNS];
+    let mut at = 0;
+    while at < SIGNS * PAIR_BYTES {
+        let (signs, column) = (at / PAIR_BYTES, at % 2);
+        flips[signs][at % PAIR_BYTES] = -((signs as i8 >> column) & 1);
+        at += 1;
+    }
+    flips
+};
+
 /// Queries that begin with the same groups of columns.
 #[derive(Debug)]
 struct Bucket {
@@ -130,6 +143,8 @@ pub(super) struct Buffers {
     codes: Vec<i8>,
     /// `[group][row]`: −Σk²/2, rounded up.
     norms: Vec<i16>,
+    /// The norms of all groups together.
+    totals: Vec<i16>,
     /// Place in the batch's order, and which vectors need the second stage.
     hits: Vec<(u32, u32)>,
 }
@@ -146,6 +161,7 @@ impl Operation for Sweep<'_> {
             .codes
             .resize(2 * n_groups * SIGNS * 2 * rows_of_tile, 0);
         buffers.norms.resize(n_groups * rows_of_tile, 0);
+        buffers.totals.resize(rows_of_tile, 0);
         buffers.hits.resize(self.batch.order.len() + 1, (0, 0));
         let strip_bytes = n_groups * GROUP_BYTES;
         let tile_bytes = strip_bytes * rows_of_tile / STRIP_ROWS;
@@ -183,16 +199,14 @@ fn fill<L: Lanes>(strips: &[i8], strip_bytes: usize, patterns: &[u8], buffers: &
             if patterns[pair] & (1 << signs) == 0 {
                 continue;
             }
-            let first = if signs & 1 == 0 { 0 } else { -1i8 };
-            let second = if signs & 2 == 0 { 0 } else { -1i8 };
-            let flip: [i8; PAIR_BYTES] =
-                std::array::from_fn(|at| if at % 2 == 0 { first } else { second });
             let from = strips
                 .chunks_exact(strip_bytes)
                 .map(|strip| &strip[pair * PAIR_BYTES..]);
             for (out, codes) in out.chunks_exact_mut(PAIR_BYTES).zip(from) {
-                for ((out, &code), flip) in out.iter_mut().zip(&codes[..PAIR_BYTES]).zip(flip) {
-                    *out = (code ^ flip).wrapping_sub(flip);
+                for ((out, &code), flip) in
+                    out.iter_mut().zip(&codes[..PAIR_BYTES]).zip(&FLIPS[signs])
+                {
+                    *out = (code ^ flip).wrapping_sub(*flip);
                 }
             }
             out[n_strips * PAIR_BYTES..].fill(0);
@@ -214,6 +228,12 @@ fn fill<L: Lanes>(strips: &[i8], strip_bytes: usize, patterns: &[u8], buffers: &
         }
         // No row stands there: as far as can be.
         out[n_strips * STRIP_ROWS..].fill(i16::MIN);
+    }
+    buffers.totals.fill(0);
+    for norms in buffers.norms.chunks_exact(rows_of_tile) {
+        for (total, norm) in buffers.totals.iter_mut().zip(norms) {
+            *total = total.saturating_add(*norm);
+        }
     }
 }
 
@@ -270,20 +290,28 @@ fn second_stage<L: Lanes>(
     let rows_of_tile = VECTORS * L::LANES;
     let pair_bytes = 2 * rows_of_tile;
     let steps = &batch.all[batch.all_starts[at] as usize..batch.all_starts[at + 1] as usize];
+    let uses_all = steps.len() == batch.patterns.len();
     let limit = lanes.splat(batch.limits[at][1]);
     let mut vectors = (flags | flags >> 1) & 0x5555;
     while vectors != 0 {
         let vector = vectors.trailing_zeros() as usize / 2;
         vectors &= vectors - 1;
-        let mut sum = lanes.splat(0);
-        for group in steps.chunks_exact(GROUP / 2) {
-            let number = group[0].place as usize / (SIGNS * GROUP / 2);
-            let norms = number * rows_of_tile + vector * L::LANES;
-            sum = lanes.add(sum, lanes.load(&buffers.norms[norms..]));
-            for step in group {
-                let place = step.place as usize * pair_bytes + vector * 2 * L::LANES;
-                sum = lanes.dot(sum, step.query, &buffers.codes[place..]);
-            }
+        let lanes_of_vector = vector * L::LANES..(vector + 1) * L::LANES;
+        let mut sum = if uses_all {
+            lanes.load(&buffers.totals[lanes_of_vector])
+        } else {
+            let groups = steps.iter().step_by(GROUP / 2);
+            groups.fold(lanes.splat(0), |sum, step| {
+                let group = step.place as usize / (SIGNS * GROUP / 2) * rows_of_tile;
+                lanes.add(
+                    sum,
+                    lanes.load(&buffers.norms[group..][lanes_of_vector.clone()]),
+                )
+            })
+        };
+        let codes = &buffers.codes[vector * 2 * L::LANES..];
+        for step in steps {
+            sum = lanes.dot(sum, step.query, &codes[step.place as usize * pair_bytes..]);
         }
         let mut rows = lanes.at_least(sum, limit);
         while rows != 0 {
