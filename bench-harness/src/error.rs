@@ -4,6 +4,7 @@ use ksim_datasets::DatasetError;
 use ksim_envs::EnvironmentError;
 use ksim_envs::vector::VectorError;
 
+use crate::k_sim::KSimError;
 use crate::policy::PolicyError;
 
 /// Why a rollout failed.
@@ -48,4 +49,13 @@ pub enum HarnessError {
     /// The record could not be written.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
+    /// K-Sim could not be computed.
+    #[error(transparent)]
+    KSim(Box<KSimError>),
+}
+
+impl From<KSimError> for HarnessError {
+    fn from(error: KSimError) -> Self {
+        Self::KSim(Box::new(error))
+    }
 }

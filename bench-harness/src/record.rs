@@ -51,6 +51,8 @@ pub struct EpisodeTrace {
     pub infos: Vec<f64>,
     /// `(N + 1,)`, the reset's first; empty where the environment reports no success.
     pub successes: Vec<bool>,
+    /// `(N, number of annotations)`: what the policy tells of every step, NaN where it tells nothing.
+    pub annotations: Vec<f64>,
 }
 
 #[cfg(test)]

@@ -24,6 +24,7 @@ use ksim_envs::EnvironmentSpec;
 use serde_json::{Map, Value};
 
 use self::rows::Rows;
+use crate::policy::Annotation;
 use crate::record::EpisodeTrace;
 
 /// Name of the source format in files that hold rollouts.
@@ -55,6 +56,7 @@ pub struct About {
 /// Episodes on their way to a dataset.
 pub struct Recording {
     environment: EnvironmentSpec,
+    annotations: &'static [Annotation],
     schema: SchemaRef,
     spool: StreamWriter<BufWriter<File>>,
     episodes: Vec<DatasetEpisode>,
@@ -62,16 +64,17 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Starts without episodes. The spooled file is in `folder`, the one of the dataset to come: there must be room.
+    /// Starts without episodes, of a policy that tells `annotations` of its steps. The spooled file is in `folder`, the one of the dataset to come: there must be room.
     ///
     /// # Errors
     /// Nothing can be written into the folder.
     pub fn start(
         environment: &EnvironmentSpec,
+        annotations: &'static [Annotation],
         precision: ActionPrecision,
         folder: &Path,
     ) -> Result<Self, DatasetError> {
-        let schema = table::schema(environment, precision);
+        let schema = table::schema(environment, annotations, precision);
         let file = tempfile::tempfile_in(folder).map_err(|source| DatasetError::InFile {
             path: folder.to_owned(),
             source: Box::new(DatasetError::Io {
@@ -81,6 +84,7 @@ impl Recording {
         })?;
         Ok(Self {
             environment: environment.clone(),
+            annotations,
             spool: StreamWriter::try_new(BufWriter::new(file), &schema)?,
             schema,
             episodes: Vec::new(),
@@ -93,7 +97,7 @@ impl Recording {
     /// # Errors
     /// A failed write.
     pub fn add(&mut self, trace: &EpisodeTrace) -> Result<(), DatasetError> {
-        let rows = Rows::new(trace);
+        let rows = Rows::new(trace, self.annotations);
         let columns = self.schema.fields().iter();
         let columns = columns.map(|field| rows.column(field, &self.environment));
         let batch =
@@ -173,6 +177,7 @@ fn spooled(source: std::io::Error) -> DatasetError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::policy::ANNOTATIONS;
     use crate::record::EpisodeRecord;
     use arrow::array::{Array, AsArray};
     use arrow::datatypes::Float64Type;
@@ -225,14 +230,20 @@ mod tests {
             rewards: rows(n_steps, 1),
             infos: rows(n_steps + 1, 3),
             successes: (0..=n_steps).map(|row| row == n_steps).collect(),
+            annotations: rows(n_steps, 2),
         }
     }
 
     fn recorded(format: Format) -> (tempfile::TempDir, Box<dyn DatasetSource>) {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("out");
-        let mut recording =
-            Recording::start(&environment(), ActionPrecision::Double, folder.path()).unwrap();
+        let mut recording = Recording::start(
+            &environment(),
+            &ANNOTATIONS,
+            ActionPrecision::Double,
+            folder.path(),
+        )
+        .unwrap();
         recording.add(&trace(0, 2)).unwrap();
         recording.add(&trace(1, 3)).unwrap();
         assert_eq!(recording.n_episodes(), 2);
@@ -269,6 +280,8 @@ mod tests {
                 "info.goal",
                 "info.qpos",
                 "info.success",
+                "info.novelty",
+                "info.plan_score",
             ]
         );
         let info = source.info();
@@ -309,7 +322,16 @@ mod tests {
                     .filter(|&row| column.is_null(row))
                     .collect::<Vec<_>>()
             };
-            for name in ["action", "reward", "terminated", "truncated"] {
+            let scores = batch.column_by_name("info.plan_score").unwrap();
+            let scores = scores.as_primitive::<Float64Type>();
+            assert_eq!((scores.value(0), scores.value(1)), (1.0, 11.0));
+            for name in [
+                "action",
+                "reward",
+                "terminated",
+                "truncated",
+                "info.novelty",
+            ] {
                 assert_eq!(nulls(name), [2, 6], "{name}");
             }
             let ends = batch.column_by_name("terminated").unwrap().as_boolean();
@@ -335,8 +357,13 @@ mod tests {
     #[test]
     fn without_episodes_nothing_is_written() {
         let folder = tempfile::tempdir().unwrap();
-        let recording =
-            Recording::start(&environment(), ActionPrecision::Double, folder.path()).unwrap();
+        let recording = Recording::start(
+            &environment(),
+            &ANNOTATIONS,
+            ActionPrecision::Double,
+            folder.path(),
+        )
+        .unwrap();
         let target = folder.path().join("out.parquet");
         let options = WriteOptions::default();
         let written = recording.finish(&target, Format::Parquet, &About::default(), &options);
@@ -347,8 +374,13 @@ mod tests {
     #[test]
     fn a_trace_of_other_widths_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
-        let mut recording =
-            Recording::start(&environment(), ActionPrecision::Single, folder.path()).unwrap();
+        let mut recording = Recording::start(
+            &environment(),
+            &ANNOTATIONS,
+            ActionPrecision::Single,
+            folder.path(),
+        )
+        .unwrap();
         let mut odd = trace(0, 2);
         odd.infos.pop();
         assert!(recording.add(&odd).is_err());

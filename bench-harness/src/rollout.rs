@@ -289,6 +289,7 @@ impl<'a> Rollout<'a> {
             };
             self.n_steps += 1;
             let action = &self.actions[row * action_dim..][..action_dim];
+            recorder.annotate(self.policy, slot);
             recorder.step(self.environments, slot, action);
             if recorder.is_over() {
                 let trace = self.slots[slot].take().map(Recorder::finish);

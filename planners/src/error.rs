@@ -2,6 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::baselines::BaselineError;
+use crate::process::ProcessError;
+
 /// A planner or one of its networks cannot do what was asked.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -200,6 +203,28 @@ pub enum PlannerError {
         /// What was asked for.
         found: String,
     },
+    /// A plan that is none.
+    #[error("a plan has {what} of {found}, expected {expected}")]
+    Plan {
+        /// Which field of [`crate::Candidates`].
+        what: &'static str,
+        /// What is possible.
+        expected: String,
+        /// What it holds.
+        found: String,
+    },
+    /// A planner without a network.
+    #[error(transparent)]
+    Baseline(#[from] BaselineError),
+    /// A planner in a process of its own.
+    #[error(transparent)]
+    Process(Box<ProcessError>),
+}
+
+impl From<ProcessError> for PlannerError {
+    fn from(error: ProcessError) -> Self {
+        Self::Process(Box::new(error))
+    }
 }
 
 /// The end of a message about numbers that are not finite.

@@ -19,7 +19,9 @@ pub trait PlannerFamily: Send + Sync {
     fn summary(&self) -> &'static str;
 
     /// Names of its presets, the default first; empty if there is nothing to choose.
-    fn presets(&self) -> &[Preset];
+    fn presets(&self) -> &[Preset] {
+        &[]
+    }
 
     /// Trains on a dataset and writes a run folder, which [`PlannerFamily::load`] takes. A run that was stopped goes
     /// on where its last checkpoint is, with [`TrainRequest::resume`].
@@ -141,7 +143,7 @@ impl TrainObserver for SilentObserver {
 }
 
 /// What a training came to.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct TrainSummary {
     /// Whether all updates are done; `false` after [`TrainControl::Stop`].
     pub finished: bool,

@@ -1,6 +1,7 @@
 //! Figures, as SVG: the same data gives the same bytes.
 
 mod chart;
+pub mod curve;
 mod panel;
 pub mod paths;
 mod scale;

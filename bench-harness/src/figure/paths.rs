@@ -29,8 +29,18 @@ pub struct EpisodePath {
     pub positions_m: Vec<[f64; 2]>,
     /// Its goals, in the order in which it had them.
     pub goals_m: Vec<[f64; 2]>,
-    /// K-Sim of every step.
+    /// What every step is colored by, as a [`Measure`] says.
     pub scores: Option<Vec<f64>>,
+}
+
+/// What the scores of steps are.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Measure {
+    /// K-Sim, from 0 to 1 in every figure.
+    #[default]
+    KSim,
+    /// Novelty of the plan under way, from the smallest to the largest of the figure.
+    Novelty,
 }
 
 /// How episodes share the figure.
@@ -72,22 +82,42 @@ pub enum FigureError {
     },
 }
 
-/// Draws episodes in a maze, as an SVG document. With scores, paths are colored by them, else by step.
+/// Draws episodes in a maze, as an SVG document. With scores, paths are colored by them as K-Sim, else by step.
 ///
 /// # Errors
-/// Nothing to draw, numbers that are not finite, or scores that do not fit the paths.
+/// As [`draw_by`].
 pub fn draw(
     heading: &str,
     maze: &Maze,
     episodes: &[EpisodePath],
     layout: Layout,
 ) -> Result<String, FigureError> {
+    draw_by(heading, maze, episodes, layout, Measure::KSim)
+}
+
+/// As [`draw`], with scores that are something else.
+///
+/// # Errors
+/// Nothing to draw, numbers that are not finite, or scores that do not fit the paths.
+pub fn draw_by(
+    heading: &str,
+    maze: &Maze,
+    episodes: &[EpisodePath],
+    layout: Layout,
+    measure: Measure,
+) -> Result<String, FigureError> {
     check(episodes)?;
     let has_scores = episodes.iter().all(|episode| episode.scores.is_some());
     let last = episodes.iter().map(|episode| episode.positions_m.len());
-    let scale = match has_scores {
-        true => ColorScale::k_sim(),
-        false => ColorScale::steps(last.max().unwrap_or(0).saturating_sub(2)),
+    let scale = match (has_scores, measure) {
+        (true, Measure::KSim) => ColorScale::k_sim(),
+        (true, Measure::Novelty) => {
+            let scores = episodes
+                .iter()
+                .filter_map(|episode| episode.scores.as_ref());
+            ColorScale::novelty(scores.flatten().copied())
+        }
+        (false, _) => ColorScale::steps(last.max().unwrap_or(0).saturating_sub(2)),
     };
     let panels: Vec<Panel<'_>> = match layout {
         Layout::Panels => episodes.iter().map(Panel::of).collect(),
@@ -295,6 +325,26 @@ mod tests {
                 .contains("1 scores, expected one for each of its 2"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn novelty_has_a_scale_of_its_own() {
+        let mut one = episode(3);
+        one.scores = Some(vec![2e-4, 4e-4]);
+        let draw = |one: &EpisodePath| {
+            let episodes = std::slice::from_ref(one);
+            draw_by("", &maze(), episodes, Layout::Panels, Measure::Novelty).unwrap()
+        };
+        let svg = draw(&one);
+        let scale = ColorScale::novelty([2e-4, 4e-4].into_iter());
+        assert!(
+            svg.contains("novelty of the plan") && svg.contains("0.0003"),
+            "{svg}"
+        );
+        assert!(svg.contains(&scale.color(0)) && svg.contains(&scale.color(63)));
+        // All the same, and not known.
+        one.scores = Some(vec![1.0, f64::NAN]);
+        draw(&one);
     }
 
     #[test]

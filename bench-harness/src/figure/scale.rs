@@ -39,6 +39,24 @@ impl ColorScale {
         }
     }
 
+    /// Novelties of plans, from the smallest to the largest of them; what is not finite does not count.
+    pub(super) fn novelty(values: impl Iterator<Item = f64> + Clone) -> Self {
+        let finite = values.filter(|value| value.is_finite());
+        let low = finite.clone().fold(f64::INFINITY, f64::min);
+        let high = finite.fold(f64::NEG_INFINITY, f64::max);
+        let (low, high) = match (low.is_finite(), low < high) {
+            (true, true) => (low, high),
+            (true, false) => (low - 0.5, low + 0.5),
+            (false, _) => (0.0, 1.0),
+        };
+        Self {
+            gradient: colorous::INFERNO,
+            low,
+            high,
+            label: "novelty of the plan",
+        }
+    }
+
     /// The level of a number; what lies outside gets the outermost.
     pub(super) fn level(&self, value: f64) -> usize {
         let share = (value - self.low) / (self.high - self.low);

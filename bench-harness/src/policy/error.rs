@@ -1,8 +1,10 @@
 //! What can go wrong with a policy.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use ksim_datasets::DatasetError;
+use ksim_planners::PlannerError;
 use safetensors::SafeTensorError;
 
 /// Why a policy could not be made or asked.
@@ -109,4 +111,7 @@ pub enum PolicyError {
         /// The number.
         value: f64,
     },
+    /// A planner that could not plan; several slots may share the error.
+    #[error(transparent)]
+    Planner(Arc<PlannerError>),
 }

@@ -7,6 +7,7 @@
 mod error;
 mod mlp;
 mod noise;
+mod planned;
 mod random;
 mod replay;
 mod spec;
@@ -17,6 +18,7 @@ use std::num::NonZeroUsize;
 
 pub use error::PolicyError;
 pub use mlp::{Mlp, MlpOptions};
+pub use planned::{ANNOTATIONS, Planned};
 pub use random::Random;
 pub use replay::Replay;
 pub use spec::{KINDS, PolicySpec};
@@ -32,6 +34,13 @@ pub struct EpisodeStart {
     pub episode: usize,
     /// Seed of its reset; a policy that draws seeds its own stream with it.
     pub seed: u64,
+}
+
+/// A number that a policy tells of every step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Annotation {
+    /// Its name; the column of a recording is `info.` and this.
+    pub name: &'static str,
 }
 
 /// One policy for a batch of environments. An environment keeps its slot for a whole episode; whatever a policy
@@ -62,6 +71,17 @@ pub trait Policy: Send {
         observations: &[f64],
         actions: &mut [f64],
     ) -> Result<(), Vec<(usize, PolicyError)>>;
+
+    /// What [`Policy::annotate`] tells, for the whole rollout the same.
+    fn annotations(&self) -> &'static [Annotation] {
+        &[]
+    }
+
+    /// Writes the numbers of the action that was given last in a slot, one per [`Policy::annotations`]; NaN where
+    /// there is none.
+    fn annotate(&self, slot: usize, out: &mut [f64]) {
+        let _ = (slot, out);
+    }
 }
 
 /// Makes the policy that a specification asks for, to act in `environment`.

@@ -13,18 +13,21 @@ use ksim_envs::{EnvironmentSpec, Part};
 use serde_json::{Map, Value, json};
 
 use super::table::column_name;
+use crate::policy::Annotation;
 use crate::record::EpisodeTrace;
 
 /// An episode as rows: one for every step, and one for the observation after the last.
 pub(super) struct Rows<'a> {
     trace: &'a EpisodeTrace,
+    annotations: &'static [Annotation],
     n_steps: usize,
 }
 
 impl<'a> Rows<'a> {
-    pub(super) fn new(trace: &'a EpisodeTrace) -> Self {
+    pub(super) fn new(trace: &'a EpisodeTrace, annotations: &'static [Annotation]) -> Self {
         Self {
             trace,
+            annotations,
             n_steps: trace.rewards.len(),
         }
     }
@@ -38,7 +41,7 @@ impl<'a> Rows<'a> {
         field: &Field,
         environment: &EnvironmentSpec,
     ) -> Result<ArrayRef, ArrowError> {
-        let Self { trace, n_steps } = *self;
+        let Self { trace, n_steps, .. } = *self;
         let record = &trace.record;
         let at_end = |value: bool| -> ArrayRef {
             let flags = (0..n_steps).map(|step| Some(value && step + 1 == n_steps));
@@ -58,6 +61,12 @@ impl<'a> Rows<'a> {
             schema::TERMINATED => at_end(record.terminated),
             schema::TRUNCATED => at_end(record.truncated),
             schema::INFO_SUCCESS => Arc::new(BooleanArray::from(trace.successes.clone())),
+            name if self.annotation(name).is_some() => {
+                let place = self.annotation(name).unwrap_or(0);
+                let rows = trace.annotations.chunks_exact(self.annotations.len());
+                let told = rows.map(|row| Some(row[place]).filter(|value| !value.is_nan()));
+                Arc::new(told.chain([None]).collect::<Float64Array>())
+            }
             name if schema::belongs_to(name, schema::INFO) => {
                 return part_of(field, &trace.infos, &environment.info, schema::INFO);
             }
@@ -70,6 +79,13 @@ impl<'a> Rows<'a> {
                 );
             }
         })
+    }
+
+    /// Place of the annotation whose column this is.
+    fn annotation(&self, column: &str) -> Option<usize> {
+        let is_it =
+            |annotation: &Annotation| schema::join_key(schema::INFO, annotation.name) == column;
+        self.annotations.iter().position(is_it)
     }
 
     /// The actions, and a null below them.

@@ -9,9 +9,14 @@ use ksim_envs::{EnvironmentSpec, Part, registry};
 use serde_json::{Map, Value};
 
 use super::{About, ActionPrecision, SOURCE_FORMAT};
+use crate::policy::Annotation;
 
 /// The columns of a rollout: those that Minari's reader gives for the same environment, in the same order.
-pub(super) fn schema(environment: &EnvironmentSpec, precision: ActionPrecision) -> SchemaRef {
+pub(super) fn schema(
+    environment: &EnvironmentSpec,
+    annotations: &[Annotation],
+    precision: ActionPrecision,
+) -> SchemaRef {
     let number = |name: &str, width: usize, value_type: DataType, nullable: bool| {
         Arc::new(schema::leaf_field(name, value_type, &[width], nullable))
     };
@@ -50,6 +55,10 @@ pub(super) fn schema(environment: &EnvironmentSpec, precision: ActionPrecision) 
     if environment.reports_success {
         fields.push(flag(schema::INFO_SUCCESS));
     }
+    fields.extend(annotations.iter().map(|annotation| {
+        let name = schema::join_key(schema::INFO, annotation.name);
+        Arc::new(Field::new(name, DataType::Float64, true))
+    }));
     Arc::new(Schema::new(fields))
 }
 

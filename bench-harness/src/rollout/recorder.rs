@@ -5,6 +5,7 @@ use std::num::NonZeroUsize;
 use ksim_envs::vector::VectorEnvironment;
 
 use super::RolloutConfig;
+use crate::policy::Policy;
 use crate::record::{EpisodeRecord, EpisodeTrace};
 
 /// One episode under way.
@@ -53,12 +54,21 @@ impl Recorder {
                 rewards: Vec::new(),
                 infos: Vec::new(),
                 successes: Vec::new(),
+                annotations: Vec::new(),
             },
         }
     }
 
     pub(super) fn length(&self) -> usize {
         self.trace.record.length
+    }
+
+    /// Takes what the policy tells of its last action.
+    pub(super) fn annotate(&mut self, policy: &dyn Policy, slot: usize) {
+        let annotations = &mut self.trace.annotations;
+        let start = annotations.len();
+        annotations.resize(start + policy.annotations().len(), f64::NAN);
+        policy.annotate(slot, &mut annotations[start..]);
     }
 
     /// Takes what stands in a slot after a step with this action.

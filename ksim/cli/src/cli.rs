@@ -3,7 +3,9 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{bench, convert, dataset, demo, env, index, plot, rollout, score};
+use crate::commands::{
+    bench, convert, dataset, demo, env, index, planner, plot, rollout, score, train,
+};
 use crate::context::{Context, GlobalArgs};
 use crate::outcome::CommandOutcome;
 
@@ -23,6 +25,8 @@ pub(crate) struct Cli {
 enum Command {
     Score(Box<score::ScoreArgs>),
     Rollout(Box<rollout::RolloutArgs>),
+    Train(Box<train::TrainArgs>),
+    Planner(Box<planner::PlannerCommandArgs>),
     Env(env::EnvArgs),
     Plot(plot::PlotArgs),
     Convert(Box<convert::ConvertArgs>),
@@ -39,6 +43,8 @@ impl Cli {
         match self.command {
             Command::Score(args) => score::run(&args, &context),
             Command::Rollout(args) => rollout::run(&args, &context),
+            Command::Train(args) => train::run(&args, &context),
+            Command::Planner(args) => planner::run(&args, &context),
             Command::Env(args) => env::run(&args),
             Command::Plot(args) => plot::run(&args, &context),
             Command::Convert(args) => convert::run(&args, &context),

@@ -15,6 +15,7 @@ mod outcome;
 mod output;
 mod pairing;
 mod per_step;
+mod planner_args;
 mod rolling;
 mod rollout_args;
 mod scoring;

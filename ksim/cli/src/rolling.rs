@@ -4,14 +4,15 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use ksim_bench_harness::HarnessError;
-use ksim_bench_harness::policy::{self, EpisodeStart, Policy, PolicyError};
+use ksim_bench_harness::k_sim::{EpisodeKSim, Reference};
+use ksim_bench_harness::policy::{Annotation, EpisodeStart, Policy, PolicyError};
 use ksim_bench_harness::record::{EpisodeRecord, EpisodeTrace};
 use ksim_bench_harness::recording::{About, ActionPrecision, Recording};
 use ksim_bench_harness::rollout::{Continue, Observer, RolloutConfig, rollout};
 use ksim_datasets::convert::check_target;
-use ksim_datasets::{Format, WriteOptions};
+use ksim_datasets::{Format, OpenOptions, WriteOptions};
 use ksim_envs::EnvironmentSpec;
 use ksim_envs::registry::{self, EnvironmentRequest};
 use ksim_envs::vector::VectorEnvironment;
@@ -19,7 +20,8 @@ use serde_json::{Map, Value, json};
 
 use crate::atomic;
 use crate::context::{Context, Progress};
-use crate::rollout_args::{PlayArgs, Setup};
+use crate::data_args;
+use crate::rollout_args::{PlayArgs, Player, Setup};
 
 /// Environments of a thread, so that a slow episode holds nobody up.
 const ENVIRONMENTS_PER_THREAD: usize = 8;
@@ -30,8 +32,9 @@ pub(crate) struct Ready {
     policy: Box<dyn Policy>,
     /// What will be played.
     pub(crate) config: RolloutConfig,
-    policy_text: String,
+    player: Player,
     dataset: Option<String>,
+    reference: Option<Reference>,
 }
 
 /// Where the episodes go.
@@ -72,6 +75,8 @@ pub(crate) struct Played {
     pub(crate) n_requested: usize,
     /// How it was made.
     pub(crate) rollout: Map<String, Value>,
+    /// K-Sim of every episode, where there is a dataset to compare with.
+    pub(crate) k_sim: Option<Vec<EpisodeKSim>>,
 }
 
 impl Played {
@@ -89,7 +94,7 @@ impl Ready {
         n_runs: usize,
         context: &Context,
     ) -> Result<Self> {
-        let spec = args.policy_spec()?;
+        let player = args.player(context)?;
         let config = args.config(setup, n_runs);
         let n_episodes = config.n_episodes.saturating_mul(n_runs).max(1);
         let n_slots = args
@@ -106,12 +111,25 @@ impl Ready {
             context.warn(&format!("{}: {note}", environments.spec().id));
         }
         Ok(Self {
-            policy: policy::build(&spec, environments.spec())?,
+            policy: player.make(environments.spec())?,
             environments,
             config,
-            policy_text: args.policy.clone(),
+            player,
             dataset: setup.dataset.clone(),
+            reference: None,
         })
+    }
+
+    /// Scores every episode against the dataset of the setup.
+    pub(crate) fn with_k_sim(mut self, context: &Context) -> Result<Self> {
+        let Some(name) = &self.dataset else {
+            bail!("K-Sim needs the dataset that it compares with: --dataset");
+        };
+        let (_, source) = data_args::open(name, &OpenOptions::default())?;
+        let progress = context.spinner(format!("reading {name}"));
+        self.reference = Some(Reference::fit(&*source, self.environments.spec())?);
+        drop(progress);
+        Ok(self)
     }
 
     /// What is fixed about the environment.
@@ -143,7 +161,12 @@ impl Ready {
         let n_requested = self.config.n_episodes.saturating_mul(self.config.n_runs);
         let what = format!("{} with {}", self.spec().id, self.policy.name());
         let recording = match destination {
-            Some(to) => Some(Recording::start(self.spec(), to.precision, to.folder())?),
+            Some(to) => Some(Recording::start(
+                self.spec(),
+                self.policy.annotations(),
+                to.precision,
+                to.folder(),
+            )?),
             None => None,
         };
         let mut watcher = Watcher {
@@ -155,6 +178,8 @@ impl Ready {
             n_successes: 0,
             records: Vec::new(),
             recording,
+            reference: self.reference.take(),
+            k_sim: Vec::new(),
         };
         // On a thread of the pool, which needs not be woken for every step.
         rayon::scope(|_| {
@@ -168,6 +193,8 @@ impl Ready {
             n_steps,
             records,
             recording,
+            reference,
+            k_sim,
             ..
         } = watcher;
         drop(progress);
@@ -187,6 +214,7 @@ impl Ready {
             records,
             n_requested,
             rollout,
+            k_sim: reference.is_some().then_some(k_sim),
         };
         if let (Some(recording), Some(to)) = (recording, destination) {
             let about = About {
@@ -218,7 +246,8 @@ impl Ready {
             ),
             ("dataset", json!(self.dataset)),
             ("policy", json!(self.policy.name())),
-            ("policy_spec", json!(self.policy_text)),
+            ("policy_spec", json!(self.player.text())),
+            ("planner", json!(self.player.planner())),
             ("seed", json!(config.seed)),
             ("n_runs", json!(config.n_runs)),
             (
@@ -266,12 +295,17 @@ struct Watcher {
     n_successes: usize,
     records: Vec<EpisodeRecord>,
     recording: Option<Recording>,
+    reference: Option<Reference>,
+    k_sim: Vec<EpisodeKSim>,
 }
 
 impl Observer for Watcher {
     fn episode(&mut self, trace: EpisodeTrace) -> Result<Continue, HarnessError> {
         if let Some(recording) = &mut self.recording {
             recording.add(&trace)?;
+        }
+        if let Some(reference) = &self.reference {
+            self.k_sim.push(reference.score(&trace)?.0);
         }
         self.n_successes += usize::from(trace.record.success == Some(true));
         self.records.push(trace.record);
@@ -330,6 +364,14 @@ impl Policy for SinglePrecision {
             *action = f64::from(*action as f32);
         }
         result
+    }
+
+    fn annotations(&self) -> &'static [Annotation] {
+        self.0.annotations()
+    }
+
+    fn annotate(&self, slot: usize, out: &mut [f64]) {
+        self.0.annotate(slot, out);
     }
 }
 

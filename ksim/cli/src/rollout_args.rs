@@ -4,26 +4,27 @@ use std::num::NonZero;
 
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
-use ksim_bench_harness::policy::PolicySpec;
+use ksim_bench_harness::planner_source::PlannerSource;
+use ksim_bench_harness::policy::{self, Policy, PolicySpec};
 use ksim_bench_harness::rollout::RolloutConfig;
 use ksim_datasets::{DatasetError, OpenOptions, SearchRoots};
+use ksim_envs::EnvironmentSpec;
 use ksim_envs::ResetOptions;
 use ksim_envs::registry::{self, DatasetEnvironment, EnvironmentRequest};
 use serde_json::Value;
+
+use crate::context::Context;
+use crate::data_args;
+use crate::planner_args::{Chosen, PlannerArgs};
 
 /// Which environment.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Environment")]
 pub(crate) struct EnvironmentArgs {
     /// Id of the environment, such as Hopper-v5 (see `ksim env list`)
-    #[arg(
-        long,
-        value_name = "ID",
-        required_unless_present = "dataset",
-        conflicts_with = "dataset"
-    )]
+    #[arg(long, value_name = "ID", required_unless_present = "dataset")]
     env: Option<String>,
-    /// The environment, time limit and reference scores of this dataset
+    /// The environment, time limit and reference scores of this dataset; with --env only what K-Sim compares with
     #[arg(long, value_name = "NAME|PATH")]
     dataset: Option<String>,
     /// A keyword argument of Gymnasium's constructor; what is no JSON is taken as text
@@ -45,8 +46,13 @@ pub(crate) struct EnvironmentArgs {
 #[command(next_help_heading = "Rollout")]
 pub(crate) struct PlayArgs {
     /// random, zero, replay:FILE, mlp:FILE.safetensors or waypoint:FILE.safetensors, with options after commas
-    #[arg(long, value_name = "SPEC")]
-    pub(crate) policy: String,
+    #[arg(
+        long,
+        value_name = "SPEC",
+        required_unless_present = "planner",
+        conflicts_with = "planner"
+    )]
+    policy: Option<String>,
     /// Episodes to play
     #[arg(long, value_name = "N")]
     pub(crate) episodes: NonZero<u32>,
@@ -59,6 +65,17 @@ pub(crate) struct PlayArgs {
     /// Discount of the discounted return
     #[arg(long, value_name = "FACTOR", default_value_t = 0.99)]
     pub(crate) discount: f64,
+    #[command(flatten)]
+    planner: PlannerArgs,
+}
+
+/// Who plays, read but not made.
+#[derive(Debug)]
+pub(crate) enum Player {
+    /// A policy, and as it was written.
+    Policy(PolicySpec, String),
+    /// A planner.
+    Planner(Box<Chosen>),
 }
 
 fn env_arg(text: &str) -> Result<(String, Value)> {
@@ -93,7 +110,20 @@ impl EnvironmentArgs {
     /// Finds the environment; of a dataset, the one it was collected in or the one policies are judged in.
     pub(crate) fn setup(&self, collection: bool) -> Result<Setup> {
         let mut found = match (&self.env, &self.dataset) {
-            (Some(id), _) => of_id(id)?,
+            (Some(id), None) => of_id(id)?,
+            (Some(id), Some(name)) => {
+                // It must be there, and may know returns that the environment does not.
+                let (_, source) = data_args::open(name, &OpenOptions::default())?;
+                let info = source.info();
+                let found = of_id(id)?;
+                DatasetEnvironment {
+                    reference: info
+                        .ref_min_score
+                        .zip(info.ref_max_score)
+                        .or(found.reference),
+                    ..found
+                }
+            }
             (None, Some(name)) => of_dataset(name)?,
             (None, None) => bail!("neither --env nor --dataset is given"),
         };
@@ -154,10 +184,49 @@ fn is_d4rl(known: &ksim_datasets::registry::Known) -> bool {
     known.store == ksim_datasets::registry::Store::D4rl
 }
 
+impl Player {
+    /// Makes the policy.
+    pub(crate) fn make(&self, environment: &EnvironmentSpec) -> Result<Box<dyn Policy>> {
+        Ok(match self {
+            Self::Policy(spec, _) => policy::build(spec, environment)?,
+            Self::Planner(chosen) => Box::new(chosen.open(environment)?),
+        })
+    }
+
+    /// As it was written.
+    pub(crate) fn text(&self) -> &str {
+        match self {
+            Self::Policy(_, text) => text,
+            Self::Planner(chosen) => &chosen.text,
+        }
+    }
+
+    /// How a planner plans.
+    pub(crate) fn planner(&self) -> Option<Value> {
+        match self {
+            Self::Policy(..) => None,
+            Self::Planner(chosen) => Some(chosen.describe()),
+        }
+    }
+}
+
 impl PlayArgs {
-    /// The policy, read but not made.
-    pub(crate) fn policy_spec(&self) -> Result<PolicySpec> {
-        Ok(PolicySpec::parse(&self.policy)?)
+    /// Who plays.
+    pub(crate) fn player(&self, context: &Context) -> Result<Player> {
+        match (&self.planner.planner, &self.policy) {
+            (Some(text), _) => Ok(Player::Planner(Box::new(Chosen {
+                text: text.clone(),
+                source: PlannerSource::parse(text)?,
+                options: self.planner.planning.open_options(context.threads()),
+            }))),
+            (None, Some(text)) => Ok(Player::Policy(PolicySpec::parse(text)?, text.clone())),
+            (None, None) => bail!("neither --policy nor --planner is given"),
+        }
+    }
+
+    /// Whether a planner plays.
+    pub(crate) fn is_planned(&self) -> bool {
+        self.planner.planner.is_some()
     }
 
     /// What is to be rolled out.

@@ -176,7 +176,7 @@ impl Episodes {
 }
 
 /// Columns of a goal-conditioned maze's state in the reference's order; `None` for other observations.
-fn goal_order(layout: &ObservationLayout) -> Option<Vec<usize>> {
+pub(crate) fn goal_order(layout: &ObservationLayout) -> Option<Vec<usize>> {
     const LEAVES: [&str; 3] = ["achieved_goal", "observation", "desired_goal"];
     let mut order = Vec::with_capacity(layout.width());
     for name in LEAVES {

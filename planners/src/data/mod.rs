@@ -6,6 +6,7 @@ mod normalizer;
 mod windows;
 
 pub use batches::Batches;
+pub(crate) use episodes::goal_order;
 pub use episodes::{EpisodeSpan, Episodes};
 pub use normalizer::Normalizer;
 pub use windows::{Subset, Windows};

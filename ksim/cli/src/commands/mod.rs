@@ -6,6 +6,8 @@ pub(crate) mod dataset;
 pub(crate) mod demo;
 pub(crate) mod env;
 pub(crate) mod index;
+pub(crate) mod planner;
 pub(crate) mod plot;
 pub(crate) mod rollout;
 pub(crate) mod score;
+pub(crate) mod train;

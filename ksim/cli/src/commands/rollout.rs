@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
+use ksim_bench_harness::k_sim::KSimSummary;
 use ksim_bench_harness::record::Summary;
 use ksim_bench_harness::recording::{About, ActionPrecision};
 use ksim_bench_harness::stats::{BootstrapOptions, Estimate};
@@ -32,10 +33,21 @@ pub(crate) struct RolloutArgs {
     #[command(flatten)]
     environment: EnvironmentArgs,
     /// With --dataset: the environment it was collected in, not the one that policies are judged in
-    #[arg(long, requires = "dataset", help_heading = "Environment")]
+    #[arg(
+        long,
+        requires = "dataset",
+        conflicts_with = "env",
+        help_heading = "Environment"
+    )]
     collection_env: bool,
     #[command(flatten)]
     play: PlayArgs,
+    /// Also score against the dataset of --dataset; for planners that is done anyway
+    #[arg(long, requires = "dataset", conflicts_with = "no_k_sim")]
+    k_sim: bool,
+    /// Do not score the planner against the dataset
+    #[arg(long)]
+    no_k_sim: bool,
     /// Repetitions of all episodes, over which seeds go on
     #[arg(long, value_name = "R", default_value = "1", help_heading = "Rollout")]
     runs: NonZero<u32>,
@@ -64,7 +76,11 @@ pub(crate) fn run(args: &RolloutArgs, context: &Context) -> Result<CommandOutcom
         atomic::check_target(path)?;
     }
     let n_runs = usize::try_from(args.runs.get())?;
-    let ready = Ready::new(&setup, &args.play, n_runs, context)?;
+    let mut ready = Ready::new(&setup, &args.play, n_runs, context)?;
+    let is_scored = args.play.is_planned() && setup.dataset.is_some() && !args.no_k_sim;
+    if is_scored || args.k_sim {
+        ready = ready.with_k_sim(context)?;
+    }
     let about = About {
         env_spec: rolling::env_spec(&setup.request)?,
         reference: setup.reference,
@@ -127,7 +143,13 @@ pub(super) fn text(played: &Played, summary: &Summary) -> String {
             "environment",
             environment["id"].as_str().unwrap_or_default().to_owned(),
         ),
-        ("policy", about("policy")),
+        (
+            match played.rollout["planner"].is_null() {
+                true => "policy",
+                false => "planner",
+            },
+            about("policy"),
+        ),
         ("seed", about("seed")),
         ("episodes", episodes(played, summary)),
         ("return", estimate(&summary.total_return, "episodes")),
@@ -145,6 +167,9 @@ pub(super) fn text(played: &Played, summary: &Summary) -> String {
             rows.push(("first success", format!("after {step:.1} steps on average")));
         }
     }
+    if let Some(k_sim) = played.k_sim.as_deref().and_then(KSimSummary::new) {
+        rows.extend(k_sim_rows(&k_sim));
+    }
     rows.push((
         "length",
         format!(
@@ -153,6 +178,28 @@ pub(super) fn text(played: &Played, summary: &Summary) -> String {
         ),
     ));
     table::properties(&rows)
+}
+
+/// What the text says of K-Sim.
+fn k_sim_rows(k_sim: &KSimSummary) -> [(&'static str, String); 2] {
+    [
+        (
+            "K-Sim",
+            format!(
+                "{} over all steps; mean of the episodes {}",
+                table::decimals(k_sim.k_sim),
+                estimate(&k_sim.k_sim_episode_mean, "episodes")
+            ),
+        ),
+        (
+            "saturated steps",
+            format!(
+                "{:.1} %; mean d/√d, which does not saturate: {}",
+                100.0 * k_sim.saturated_share,
+                table::decimals(k_sim.mean_scaled_distance)
+            ),
+        ),
+    ]
 }
 
 fn episodes(played: &Played, summary: &Summary) -> String {
@@ -206,6 +253,8 @@ fn document(played: &Played, setup: &Setup, summary: &Summary, output: Option<St
         "reference": setup.reference.map(|(low, high)| [low, high]),
         "output": output,
         "summary": summary,
+        "k_sim": played.k_sim.as_deref().and_then(KSimSummary::new),
+        "k_sim_episodes": played.k_sim,
         "episodes": played.records.iter().map(episodes_table::json).collect::<Vec<_>>(),
     });
     if let (Value::Object(document), Value::Object(more)) = (&mut document, more) {

@@ -12,6 +12,7 @@ mod index;
 #[cfg(feature = "mcap")]
 mod mcap;
 mod pairing;
+mod planner;
 mod plot;
 mod process;
 mod rollout;

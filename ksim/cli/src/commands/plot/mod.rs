@@ -1,6 +1,7 @@
 //! `ksim plot`: figures.
 
 mod episodes;
+mod novelty;
 mod paths;
 mod step_scores;
 

@@ -6,12 +6,13 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail};
 use clap::{Args, ValueEnum};
-use ksim_bench_harness::figure::paths::{EpisodePath, Layout, draw};
+use ksim_bench_harness::figure::paths::{EpisodePath, Layout, Measure, draw_by};
 use ksim_datasets::{DatasetInfo, EpisodeRecord};
 use ksim_envs::maze::Maze;
 use ksim_envs::registry::{self, EnvironmentRequest};
 
 use super::episodes::read;
+use super::novelty::novelties;
 use super::step_scores::StepScores;
 use crate::atomic::{self, AtomicFile};
 use crate::commands::convert::episode_range;
@@ -25,7 +26,8 @@ const MAX_EPISODES: usize = 12;
 
 /// Draw the paths of episodes in their maze
 ///
-/// Paths are colored by step, or by the K-Sim of each step if --per-step gives what `ksim score --per-step` wrote.
+/// Paths are colored by step, by the K-Sim of each step if --per-step gives what `ksim score --per-step` wrote, or by
+/// the novelty of a planner's plans.
 /// Rollouts of ksim and Minari datasets know their maze; for other files say --env or --dataset.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct PathsArgs {
@@ -42,8 +44,11 @@ pub(crate) struct PathsArgs {
     #[arg(long, value_enum, default_value_t = LayoutArg::Panels)]
     layout: LayoutArg,
     /// Color by these scores
-    #[arg(long, value_name = "FILE.parquet")]
+    #[arg(long, value_name = "FILE.parquet", conflicts_with = "color")]
     per_step: Option<PathBuf>,
+    /// Color by step, or by how novel the plan under way was to its planner
+    #[arg(long, value_enum, default_value_t = ColorArg::Step)]
+    color: ColorArg,
     /// The maze of this environment
     #[arg(long, value_name = "ID", conflicts_with = "dataset")]
     env: Option<String>,
@@ -58,6 +63,14 @@ pub(crate) struct PathsArgs {
 enum LayoutArg {
     Panels,
     Together,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ColorArg {
+    /// The number of the step
+    Step,
+    /// What `ksim rollout --planner` recorded as info.novelty
+    Novelty,
 }
 
 impl From<LayoutArg> for Layout {
@@ -108,7 +121,14 @@ pub(super) fn run(args: &PathsArgs, context: &Context) -> Result<CommandOutcome>
             path.scores = Some(scores.of(episode.episode_index, file)?);
         }
     }
-    let svg = draw(&heading, &maze, &paths, args.layout.into())
+    let mut measure = Measure::KSim;
+    if args.color == ColorArg::Novelty {
+        measure = Measure::Novelty;
+        for (path, novelties) in paths.iter_mut().zip(novelties(&*source, &chosen)?) {
+            path.scores = Some(novelties);
+        }
+    }
+    let svg = draw_by(&heading, &maze, &paths, args.layout.into(), measure)
         .with_context(|| info.path.display().to_string())?;
     let mut file = AtomicFile::create(&args.output)?;
     let written = file.write_all(svg.as_bytes());

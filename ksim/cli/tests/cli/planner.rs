@@ -1,0 +1,295 @@
+//! `ksim train`, `ksim planner`, `ksim rollout --planner` and `ksim bench` of planners, on the point mass.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::process::{Run, batches, column, ksim};
+
+/// A folder with a dataset: full pushes, which reach the goal.
+struct Toy(tempfile::TempDir);
+
+impl Toy {
+    fn new() -> Self {
+        let toy = Self(tempfile::tempdir().expect("a folder"));
+        // The process planner in Rust is not built with this crate's tests; random pushes are data enough.
+        let data = toy.at("data.parquet");
+        let flags = ["--episodes", "12", "--seed", "5", "-o", &data];
+        let run = ksim(
+            [
+                &["rollout", "--env", "PointMass-v0", "--policy", "random"][..],
+                &flags,
+            ]
+            .concat(),
+        );
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        toy
+    }
+
+    fn at(&self, name: &str) -> String {
+        let path = self.0.path().join(name);
+        path.to_str().expect("a path in UTF-8").to_owned()
+    }
+
+    fn rollout(&self, planner: &str, flags: &[&str]) -> Run {
+        let start = ["rollout", "--env", "PointMass-v0", "--planner", planner];
+        ksim([&start[..], &["--episodes", "4"], flags].concat())
+    }
+
+    fn write(&self, name: &str, text: &str) -> String {
+        std::fs::write(self.at(name), text).expect("it is written");
+        self.at(name)
+    }
+
+    /// A suite of baselines.
+    fn suite(&self, more: &str) -> String {
+        let data = self.at("data.parquet");
+        let text = format!(
+            "name = \"toy\"\nepisodes = 3\nruns = 2\n\n\
+             [[environment]]\nname = \"mass\"\nenv = \"PointMass-v0\"\ndataset = {data:?}\nmax_steps = 20\n\n\
+             [[planner]]\nname = \"nearest\"\nsource = \"nearest:{{dataset}}\"\nreplan_interval = 3\n\n\
+             [[planner]]\nname = \"random\"\npolicy = \"random\"\n{more}"
+        );
+        self.write("suite.toml", &text)
+    }
+}
+
+#[test]
+fn a_planner_is_played_scored_and_recorded_in_one_command() {
+    let toy = Toy::new();
+    let (data, out) = (toy.at("data.parquet"), toy.at("out.parquet"));
+    let planner = format!("nearest:{data}");
+    let flags = ["--dataset", &data, "--format", "json", "-o", &out];
+    let document = toy.rollout(&planner, &flags).json();
+    assert_eq!(document["policy"], "nearest:data");
+    assert_eq!(document["planner"]["replan_interval"], 1);
+    let k_sim = &document["k_sim"];
+    let score = ksim(["score", &out, "--dataset", &data, "--format", "json"]).json();
+    let expected = score["results"][0]["k_sim"].as_f64().expect("a number");
+    assert!((k_sim["k_sim"].as_f64().expect("a number") - expected).abs() < 1e-12);
+    assert!(document["summary"]["success"]["ever"]["value"].is_number());
+    // The novelty of every step is in the file; the state after the last has none.
+    let novelties = column(&out, "info.novelty");
+    let lengths: f64 = document["episodes"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .map(|one| one["length"].as_f64().expect("a number"))
+        .sum();
+    let known = novelties.iter().filter(|value| !value.is_nan()).count();
+    assert_eq!(known as f64, lengths);
+    assert_eq!(novelties.len() as f64, lengths + 4.0);
+    let without = toy.rollout(
+        &planner,
+        &["--dataset", &data, "--no-k-sim", "--format", "json"],
+    );
+    assert!(without.json()["k_sim"].is_null());
+}
+
+#[test]
+fn neither_threads_nor_environments_show_in_the_plans() {
+    let toy = Toy::new();
+    let data = toy.at("data.parquet");
+    for planner in [
+        "random".to_owned(),
+        format!("nearest:{data}"),
+        format!("replay:{data}"),
+    ] {
+        let play = |name: &str, flags: &[&str]| {
+            let out = toy.at(name);
+            let run = toy.rollout(
+                &planner,
+                &[flags, &["--replan-interval", "2", "-o", &out]].concat(),
+            );
+            assert_eq!(run.code, 0, "{}", run.stderr);
+            let bytes = std::fs::read(&out).expect("it was written");
+            std::fs::remove_file(&out).expect("it is there");
+            bytes
+        };
+        let one = play("same.parquet", &["--parallel", "1", "--threads", "1"]);
+        let many = play("same.parquet", &["--parallel", "3", "--threads", "4"]);
+        assert!(one == many, "{planner}");
+    }
+}
+
+#[test]
+fn a_trained_baseline_plays_as_its_dataset_does() {
+    let toy = Toy::new();
+    let (data, run) = (toy.at("data.parquet"), toy.at("run"));
+    let train = ["train", "nearest", "--dataset", &data, "-o", &run];
+    let trained = ksim([&train[..], &["--set", "n_candidates=2", "--seed", "3"]].concat());
+    assert_eq!(trained.code, 0, "{}", trained.stderr);
+    assert!(
+        trained
+            .stdout
+            .contains(&format!("ksim rollout --planner {run}")),
+        "{}",
+        trained.stdout
+    );
+    let info = ksim(["planner", "info", &run, "--format", "json"]).json();
+    assert_eq!(info["manifest"]["family"], "nearest");
+    assert_eq!(info["manifest"]["config"]["n_candidates"], 2);
+    let episodes = |planner: &str, flags: &[&str]| {
+        toy.rollout(planner, &[flags, &["--format", "json"]].concat())
+            .json()["episodes"]
+            .clone()
+    };
+    let direct = format!("nearest:{data}");
+    assert_eq!(
+        episodes(&run, &[]),
+        episodes(&direct, &["--candidates", "2"])
+    );
+    ksim(train).failed(1, &["manifest.json", "a run of nearest, expected no run"]);
+    toy.rollout(&run, &["--curiosity", "3"])
+        .failed(1, &["weight of curiosity"]);
+}
+
+#[test]
+fn a_planner_that_is_served_plans_as_one_that_is_not() {
+    let toy = Toy::new();
+    let direct = format!("nearest:{}", toy.at("data.parquet"));
+    let served = format!(
+        "process:'{}' planner serve '{direct}'",
+        env!("CARGO_BIN_EXE_ksim")
+    );
+    let episodes = |planner: &str| {
+        let flags = ["--replan-interval", "4", "--format", "json"];
+        toy.rollout(planner, &flags).json()["episodes"].clone()
+    };
+    assert_eq!(episodes(&served), episodes(&direct));
+    let broken = format!(
+        "process:'{}' planner serve nearest:none",
+        env!("CARGO_BIN_EXE_ksim")
+    );
+    toy.rollout(&broken, &[])
+        .failed(1, &["ended (exit status: 1)", "not on this machine"]);
+    toy.rollout("process:sleep 60", &["--planner-timeout", "1"])
+        .failed(1, &["`sleep 60`", "did not answer within 1 s"]);
+}
+
+#[test]
+fn faults_name_what_is_wrong() {
+    let toy = Toy::new();
+    let data = toy.at("data.parquet");
+    toy.rollout("nearest:", &[])
+        .failed(1, &["no planner `nearest:`", "nearest:DATASET"]);
+    toy.rollout("no/such/run", &[])
+        .failed(1, &["no/such/run", "manifest.json"]);
+    toy.rollout("random", &["--curiosity", "1"])
+        .failed(1, &["no weight of curiosity"]);
+    toy.rollout("random", &["--policy", "zero"])
+        .failed(2, &["--policy"]);
+    toy.rollout("random", &["--guidance", "-1"])
+        .failed(2, &["0 or more"]);
+    toy.rollout("random", &["--candidates", "0"])
+        .failed(2, &["--candidates"]);
+    let train = |planner: &str, flags: &[&str]| {
+        let start = ["train", planner, "--dataset", &data, "-o"];
+        let out = toy.at("new");
+        ksim([&start[..], &[&out], flags].concat())
+    };
+    train("nobody", &[]).failed(1, &["no planner \"nobody\"", "nearest"]);
+    train("nearest", &["--preset", "paper"]).failed(1, &["no preset \"paper\"", "default"]);
+    train("nearest", &["--set", "horizn=3"]).failed(1, &["no setting \"horizn\"", "horizon"]);
+    train("nearest", &["--set", "horizon"]).failed(2, &["KEY=VALUE"]);
+    assert!(!Path::new(&toy.at("new")).exists());
+}
+
+#[test]
+fn planners_are_listed() {
+    let list = ksim(["planner", "list", "--format", "json"]).json();
+    let ids: Vec<&str> = list["planners"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .filter_map(|one| one["id"].as_str())
+        .collect();
+    for id in [
+        "nearest",
+        "random",
+        "replay",
+        "diffuser",
+        "curiosity-diffuser",
+    ] {
+        assert!(ids.contains(&id), "{id} in {ids:?}");
+    }
+    let text = ksim(["planner", "list"]).stdout;
+    assert!(text.contains("process:COMMAND"), "{text}");
+}
+
+#[test]
+fn a_benchmark_is_played_once_and_reported() {
+    let toy = Toy::new();
+    let (suite, out) = (toy.suite(""), toy.at("results"));
+    let bench = |flags: &[&str]| {
+        let start = ["bench", "planners", &suite, "-o", &out];
+        ksim([&start[..], flags].concat())
+    };
+    let first = bench(&["--parallel", "2"]);
+    assert_eq!(first.code, 0, "{}", first.stderr);
+    for part in [
+        "## Success, %",
+        "at the last step",
+        "## K-Sim",
+        "| mass | nearest |",
+    ] {
+        assert!(first.stdout.contains(part), "{part} in {}", first.stdout);
+    }
+    let episodes = toy.at("results/episodes.parquet");
+    let rows: usize = batches(&episodes)
+        .iter()
+        .map(|batch| batch.num_rows())
+        .sum();
+    assert_eq!(rows, 2 * 2 * 3);
+    let seeds = column(&episodes, "seed");
+    assert_eq!(seeds[..6], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+    assert!(
+        column(&episodes, "k_sim")
+            .iter()
+            .all(|value| (0.0..=1.0).contains(value))
+    );
+    let written = std::fs::read(&episodes).expect("it is there");
+    let again = bench(&["--parallel", "1"]);
+    assert!(
+        again.stderr.contains("4 of 4 cells were done before"),
+        "{}",
+        again.stderr
+    );
+    assert_eq!(again.stdout, first.stdout);
+    assert!(std::fs::read(&episodes).expect("it is there") == written);
+    // One cell is lost, and comes back as it was.
+    std::fs::remove_file(toy.at("results/cells/nearest--mass--1.parquet")).expect("it is there");
+    let mended = bench(&[]);
+    assert!(mended.stderr.contains("3 of 4 cells"), "{}", mended.stderr);
+    assert!(std::fs::read(&episodes).expect("it is there") == written);
+    let report: Value =
+        serde_json::from_slice(&std::fs::read(toy.at("results/report.json")).unwrap())
+            .expect("it is JSON");
+    assert_eq!(report["schema"], "ksim.bench-report/1");
+    assert_eq!(report["results"][0]["summary"]["n_episodes"], 6);
+}
+
+#[test]
+fn a_benchmark_does_not_mix_settings() {
+    let toy = Toy::new();
+    let out = toy.at("results");
+    let bench = |suite: &str| ksim(["bench", "planners", suite, "-o", &out]);
+    let suite = toy.suite("");
+    assert_eq!(bench(&suite).code, 0);
+    let text = std::fs::read_to_string(&suite).expect("it is there");
+    let other = toy.write(
+        "other.toml",
+        &text.replace("replan_interval = 3", "replan_interval = 2"),
+    );
+    bench(&other).failed(
+        1,
+        &[
+            "nearest in mass, run 0",
+            "was played with planner",
+            "write to another folder",
+        ],
+    );
+    let wrong = toy.suite("candidats = 3\n");
+    bench(&wrong).failed(1, &["suite.toml", "unknown field `candidats`"]);
+    bench(&toy.at("none.toml")).failed(1, &["none.toml"]);
+}
