@@ -68,29 +68,82 @@ impl Guide {
         t: &[f32],
         mut gradient: Option<&mut [f32]>,
     ) -> Result<GuideScore, PlannerError> {
-        let keep = gradient.is_some();
-        let mut log_p = vec![0.0; t.len()];
-        self.reward.forward(x, t, keep, &mut log_p)?;
-        if let Some(gradient) = gradient.as_deref_mut() {
-            let cotangent = vec![self.value_std; t.len()];
-            self.reward.input_gradient(&cotangent, gradient)?;
-        }
+        let on_rayon = self.on_rayon();
+        let mut by_curiosity = match (&gradient, &self.curiosity) {
+            (Some(gradient), Some(_)) => Some(vec![0.0; gradient.len()]),
+            _ => None,
+        };
+        let curiosity = self.curiosity.as_mut();
+        let (value, novelty) = both(
+            on_rayon,
+            || {
+                value(
+                    self.reward.as_mut(),
+                    self.value_std,
+                    x,
+                    t,
+                    gradient.as_deref_mut(),
+                )
+            },
+            || match curiosity {
+                None => Ok(Vec::new()),
+                Some(curiosity) => curiosity.novelty(x, t, by_curiosity.as_deref_mut()),
+            },
+        );
+        let (mut log_p, novelty) = (value?, novelty?);
         for value in &mut log_p {
             *value = *value * self.value_std + self.value_mean;
         }
-        let mut novelty = Vec::new();
-        if let Some(curiosity) = &mut self.curiosity {
-            novelty = curiosity.novelty(x, t, gradient)?;
+        if let Some(curiosity) = &self.curiosity {
             for (log_p, novelty) in log_p.iter_mut().zip(&novelty) {
                 *log_p -= curiosity.weight * novelty;
             }
         }
+        if let (Some(gradient), Some(part)) = (gradient, &by_curiosity) {
+            add(gradient, part);
+        }
         Ok(GuideScore { log_p, novelty })
+    }
+
+    /// Whether all its networks compute on rayon's threads.
+    pub(super) fn on_rayon(&self) -> bool {
+        let curiosity = self.curiosity.as_ref();
+        let curiosity = curiosity.is_none_or(|c| c.predictor.on_rayon() && c.target.on_rayon());
+        self.reward.on_rayon() && curiosity
     }
 }
 
+/// The results of two computations, at a time if they are `on_rayon`.
+pub(super) fn both<A: Send, B: Send>(
+    on_rayon: bool,
+    a: impl FnOnce() -> A + Send,
+    b: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    if on_rayon {
+        rayon::join(a, b)
+    } else {
+        (a(), b())
+    }
+}
+
+/// The network's outputs, and the gradient of `scale` times them.
+fn value(
+    reward: &mut dyn Network,
+    scale: f32,
+    x: &[f32],
+    t: &[f32],
+    gradient: Option<&mut [f32]>,
+) -> Result<Vec<f32>, PlannerError> {
+    let mut out = vec![0.0; t.len()];
+    reward.forward(x, t, gradient.is_some(), &mut out)?;
+    if let Some(gradient) = gradient {
+        reward.input_gradient(&vec![scale; t.len()], gradient)?;
+    }
+    Ok(out)
+}
+
 impl Curiosity {
-    /// Novelty of each window; what lowers it is added to the gradient.
+    /// Novelty of each window, and the gradient of what lowers it.
     fn novelty(
         &mut self,
         x: &[f32],
@@ -116,9 +169,8 @@ impl Curiosity {
             cotangent
                 .iter_mut()
                 .for_each(|value| *value *= -2.0 * self.weight);
+            self.predictor.input_gradient(&cotangent, gradient)?;
             let mut part = vec![0.0; x.len()];
-            self.predictor.input_gradient(&cotangent, &mut part)?;
-            add(gradient, &part);
             cotangent.iter_mut().for_each(|value| *value = -*value);
             self.target.input_gradient(&cotangent, &mut part)?;
             add(gradient, &part);

@@ -1,5 +1,6 @@
 //! Draws windows from a diffusion model: one sampler for every planner, backend and solver.
 
+use super::guide::both;
 use super::{Guide, GuideScore, Noise, SamplingTable, Schedule};
 use crate::error::PlannerError;
 use crate::nets::Network;
@@ -80,15 +81,24 @@ impl Sampler<'_> {
         let mut gradient = vec![0.0; len];
         for (number, step) in self.table.steps.iter().enumerate() {
             let t = vec![step.timestep as f32; n];
-            self.network.forward(&x, &t, false, &mut prediction)?;
+            let guide = self.guide.as_deref_mut();
+            let guide = guide.filter(|_| self.guidance_weight != 0.0);
+            // Neither waits for the other: both ask about the windows as they are.
+            let (predicted, score) = match guide {
+                None => (
+                    self.network.forward(&x, &t, false, &mut prediction),
+                    Ok(None),
+                ),
+                Some(guide) => both(
+                    self.network.on_rayon() && guide.on_rayon(),
+                    || self.network.forward(&x, &t, false, &mut prediction),
+                    || guide.score(&x, &t, Some(&mut gradient)).map(Some),
+                ),
+            };
+            predicted?;
+            let score = score?;
             guided.copy_from_slice(&prediction);
-            let mut score = None;
-            if let Some(guide) = self
-                .guide
-                .as_deref_mut()
-                .filter(|_| self.guidance_weight != 0.0)
-            {
-                score = Some(guide.score(&x, &t, Some(&mut gradient))?);
+            if score.is_some() {
                 let scale = self.guidance_weight * step.guidance_scale;
                 for (guided, gradient) in guided.iter_mut().zip(&gradient) {
                     *guided += scale * gradient;

@@ -254,6 +254,10 @@ impl Network for NativeNetwork {
         &self.architecture
     }
 
+    fn on_rayon(&self) -> bool {
+        true
+    }
+
     fn forward(
         &mut self,
         x: &[f32],

@@ -115,6 +115,10 @@ impl Network for NativeTraining {
         self.network.architecture()
     }
 
+    fn on_rayon(&self) -> bool {
+        true
+    }
+
     fn forward(
         &mut self,
         x: &[f32],

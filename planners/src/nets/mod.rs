@@ -51,6 +51,11 @@ pub trait Network: Send {
         cotangent: &[f32],
         gradient: &mut [f32],
     ) -> Result<(), PlannerError>;
+
+    /// Whether it computes on rayon's threads, so that it pays to ask several networks at a time.
+    fn on_rayon(&self) -> bool {
+        false
+    }
 }
 
 /// A network under training, with its optimizer's moments and the moving average of its weights.
