@@ -120,25 +120,34 @@ impl Guided {
         })
     }
 
-    /// A step for `n` windows. The U-Net and the classifiers do not wait for each other.
+    /// A step for `n` windows. The U-Net, the value and the novelty do not wait for each other.
     fn step(&mut self, x: &[f32], t: f32, n: usize) -> Result<(), PlannerError> {
         let times = vec![t; n];
         let mut prediction = vec![0.0; x.len()];
-        let (unet, classifiers) = (&mut self.unet, &mut self.classifiers);
-        let (plain, guidance) = rayon::join(
+        let unet = &mut self.unet;
+        let [reward, predictor, target] = &mut self.classifiers;
+        let (plain, (value, novelty)) = rayon::join(
             || unet.forward(x, &times, false, &mut prediction),
             || {
-                let mut gradient = vec![0.0; x.len()];
-                for network in classifiers {
-                    let mut out = vec![0.0; n * network.architecture().output_len()];
-                    network.forward(x, &times, true, &mut out)?;
-                    network.input_gradient(&out, &mut gradient)?;
-                }
-                Ok(())
+                rayon::join(
+                    || guide(reward.as_mut(), x, &times),
+                    || {
+                        guide(predictor.as_mut(), x, &times)?;
+                        guide(target.as_mut(), x, &times)
+                    },
+                )
             },
         );
-        plain.and(guidance)
+        plain.and(value).and(novelty)
     }
+}
+
+/// Outputs of a network and a gradient by its input.
+fn guide(network: &mut dyn Network, x: &[f32], times: &[f32]) -> Result<(), PlannerError> {
+    let mut out = vec![0.0; times.len() * network.architecture().output_len()];
+    let mut gradient = vec![0.0; x.len()];
+    network.forward(x, times, true, &mut out)?;
+    network.input_gradient(&out, &mut gradient)
 }
 
 fn numbers(n: usize) -> Vec<f32> {

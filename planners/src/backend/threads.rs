@@ -90,6 +90,10 @@ impl<N: Network + ?Sized> Network for OnPool<N> {
         self.pool
             .install(|| network.input_gradient(cotangent, gradient))
     }
+
+    fn on_rayon(&self) -> bool {
+        self.network.on_rayon() && self.pool.current_num_threads() > 1
+    }
 }
 
 impl TrainableNetwork for OnPool<dyn TrainableNetwork> {

@@ -141,11 +141,21 @@ fn one(
 
 /// The L2 norm of a gradient, the same for any number of threads.
 pub(super) fn norm(gradient: &[f32]) -> f64 {
-    let squares: Vec<f64> = gradient
-        .par_chunks(BLOCK)
-        .map(|block| block.iter().map(|g| f64::from(*g) * f64::from(*g)).sum())
-        .collect();
+    let squares: Vec<f64> = gradient.par_chunks(BLOCK).map(sum_of_squares).collect();
     squares.iter().sum::<f64>().sqrt()
+}
+
+/// In as many strands as can be added at a time.
+fn sum_of_squares(block: &[f32]) -> f64 {
+    let (chunks, rest) = block.as_chunks::<16>();
+    let mut strands = [0.0f64; 16];
+    for chunk in chunks {
+        for (strand, g) in strands.iter_mut().zip(chunk) {
+            *strand += f64::from(*g) * f64::from(*g);
+        }
+    }
+    let rest = rest.iter().map(|g| f64::from(*g) * f64::from(*g));
+    strands.into_iter().chain(rest).sum()
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use super::norm::{self, Plus};
 use super::plan::{Block, Layer, Plan, Step, Time};
 use super::prepared::Prepared;
 use super::product::{Product, Start};
+use super::shared::{self, Shared};
 use super::winograd::{Room, Winograd};
 
 /// A network's numbers.
@@ -16,7 +17,8 @@ pub(super) struct Model<'a> {
     pub(super) plan: &'a Plan,
     pub(super) parameters: &'a [f32],
     pub(super) prepared: &'a Prepared,
-    /// Layers for Winograd are computed by it.
+    /// Layers for Winograd are computed by it. Otherwise there are few windows, and the way back
+    /// through some layers takes the weights of the way forward.
     pub(super) winograd: bool,
     /// As many zeros as a chunk has numbers in one position at most.
     pub(super) zeros: &'a [f32],
@@ -361,6 +363,18 @@ impl Model<'_> {
                 zeros: self.zeros,
             }
             .write(room, output),
+            _ if !self.winograd && shared::pays(layer, samples) => Shared {
+                gradient: input,
+                length: layer.output_length(),
+                samples,
+                inputs: layer.inputs,
+                outputs: layer.outputs,
+                taps: layer.kind.taps(),
+                weights: &self.parameters[layer.weights..][..layer.n_weights()],
+                passes: &layer.backward,
+                adds: matches!(start, Start::Output),
+            }
+            .write(&mut room.products, output),
             _ => Product {
                 input,
                 length: layer.output_length(),

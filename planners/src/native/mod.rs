@@ -19,6 +19,7 @@ mod parameters;
 mod plan;
 mod prepared;
 mod product;
+mod shared;
 mod training;
 mod unet;
 mod winograd;

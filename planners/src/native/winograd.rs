@@ -48,11 +48,11 @@ pub(super) fn n_points(layer: &Layer) -> Option<usize> {
     }
 }
 
-/// Room for a group's transformed inputs and products.
+/// Room for a group's transformed inputs and products, and for other sums meanwhile.
 #[derive(Debug, Default)]
 pub(super) struct Room {
     inputs: Aligned,
-    products: Aligned,
+    pub(super) products: Aligned,
 }
 
 /// A layer applied to some samples: the same as [`Product`], of transformed weights.
