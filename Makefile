@@ -7,8 +7,10 @@ demo: native
 	cargo run --release -p ksim-cli -- demo
 
 # Sets up what the tests need and runs them all, doc tests included; those of MuJoCo's environments too.
+# FEATURES=mujoco,torch takes libtorch along, after `make native-torch`.
+FEATURES ?= mujoco
 test: native
-	cargo test --workspace --features mujoco
+	cargo test --workspace --features $(FEATURES)
 
 # CMake for the static HDF5, if the machine has none that is new enough, and libmujoco.
 native:
