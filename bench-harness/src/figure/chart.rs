@@ -123,7 +123,7 @@ fn number(value: f64) -> String {
     let size = value.abs();
     match value {
         0.0 => "0".to_owned(),
-        _ if size >= 1e4 || size < 1e-3 => {
+        _ if !(1e-3..1e4).contains(&size) => {
             let power = size.log10().floor() as i32;
             let factor = value / 10f64.powi(power);
             format!("{}e{power}", (factor * 10.0).round() / 10.0)

@@ -19,6 +19,10 @@ const RANDOM_SPREAD: f64 = 1.5;
 
 /// Reference and queries.
 #[derive(Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one of them in a whole run"
+)]
 pub enum StepSource {
     /// Trajectories made from a seed; any width and any number of rows.
     Generated {

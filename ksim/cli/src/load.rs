@@ -341,12 +341,11 @@ fn each_batch(
     Ok(())
 }
 
-/// Visits the runs of a batch, with their planner and the widths of states and actions.
-fn each_run(
-    batch: &Transitions,
-    columns: &Columns,
-    visit: &mut dyn FnMut(Option<&str>, &Run<'_>, [usize; 2]) -> Result<()>,
-) -> Result<()> {
+/// Takes a run with its planner and the widths of states and actions.
+type VisitRun<'a> = dyn FnMut(Option<&str>, &Run<'_>, [usize; 2]) -> Result<()> + 'a;
+
+/// Visits the runs of a batch.
+fn each_run(batch: &Transitions, columns: &Columns, visit: &mut VisitRun<'_>) -> Result<()> {
     let planner = |row: usize| batch.text.as_ref().and_then(|text| text[row].as_deref());
     let key = |row: usize| (batch.episode_index[row], planner(row));
     let (actions, action_width) = match &columns.actions {

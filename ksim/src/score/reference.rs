@@ -168,6 +168,10 @@ mod tests {
         ));
     }
 
+    #[expect(
+        clippy::single_range_in_vec_init,
+        reason = "the rows of a single episode"
+    )]
     #[test]
     fn episodes_must_cover_the_rows() {
         let matrix = |n: usize| Matrix::from_f32(vec![0.0; n], 1).unwrap();

@@ -11,13 +11,13 @@ use ksim_datasets::{DatasetSink, DatasetSource, OpenOptions, ParquetSink, schema
 
 /// Rows of a toy robot: every third episode falls after 25 steps, the others run for 40.
 #[derive(Debug, Clone, Copy)]
-pub struct Toy {
-    pub n_episodes: usize,
-    pub observation_dim: usize,
+pub(crate) struct Toy {
+    pub(crate) n_episodes: usize,
+    pub(crate) observation_dim: usize,
     /// Rewards of 0 and 1, as in a maze.
-    pub sparse: bool,
+    pub(crate) sparse: bool,
     /// A reward that is no number.
-    pub broken: bool,
+    pub(crate) broken: bool,
 }
 
 impl Default for Toy {
@@ -33,7 +33,7 @@ impl Default for Toy {
 
 impl Toy {
     /// Writes the dataset and opens it.
-    pub fn open(&self, path: &Path) -> Box<dyn DatasetSource> {
+    pub(crate) fn open(&self, path: &Path) -> Box<dyn DatasetSource> {
         let batch = self.batch();
         let mut sink = Box::new(ParquetSink::create(path, batch.schema()).unwrap());
         sink.write(&batch).unwrap();
