@@ -111,7 +111,6 @@ impl WithSimd for Run<'_> {
 }
 
 // Loops, not closures over arrays: those would not become part of the vectorized function.
-#[expect(clippy::needless_range_loop, reason = "several arrays at a time")]
 impl Run<'_> {
     #[inline(always)]
     fn run<S: Simd, const VECTORS: usize>(self, simd: S) {
@@ -153,7 +152,6 @@ impl Run<'_> {
 }
 
 /// Adds the products of some rows of the gradient with a tap's weights in a panel.
-#[expect(clippy::needless_range_loop, reason = "several arrays at a time")]
 #[inline(always)]
 fn add<S: Simd, const N: usize, const VECTORS: usize>(
     simd: S,
