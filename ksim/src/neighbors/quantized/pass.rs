@@ -1,27 +1,11 @@
 //! The first pass proper: many queries over the strips of one block.
 
 use super::codes::{Block, GROUP, GROUP_BYTES, NO_ROW, STRIP_ROWS};
-use super::lanes::{Lanes, Operation, VECTORS};
+use super::lanes::{Lanes, Operation, PAIR_BYTES, VECTORS};
 use super::query::Prepared;
 
 /// Sign patterns of a pair of columns.
 const SIGNS: usize = 4;
-
-/// Bytes of a pair of columns in one strip.
-const PAIR_BYTES: usize = GROUP_BYTES / 2;
-
-/// Per sign pattern, what negates the codes of a strip: all bits, then minus itself. A table, so that
-/// compilers see vectors.
-static FLIPS: [[i8; PAIR_BYTES]; SIGNS] = {
-    let mut flips = [[0; PAIR_BYTES]; SIGNS];
-    let mut at = 0;
-    while at < SIGNS * PAIR_BYTES {
-        let (signs, column) = (at / PAIR_BYTES, at % 2);
-        flips[signs][at % PAIR_BYTES] = -((signs as i8 >> column) & 1);
-        at += 1;
-    }
-    flips
-};
 
 /// Queries that begin with the same groups of columns.
 #[derive(Debug)]
@@ -166,7 +150,7 @@ impl Operation for Sweep<'_> {
         let strip_bytes = n_groups * GROUP_BYTES;
         let tile_bytes = strip_bytes * rows_of_tile / STRIP_ROWS;
         for (tile, strips) in self.block.strips.chunks(tile_bytes).enumerate() {
-            fill::<L>(strips, strip_bytes, &self.batch.patterns, buffers);
+            fill(lanes, strips, strip_bytes, &self.batch.patterns, buffers);
             let n_hits = first_stage(lanes, self.batch, buffers);
             for hit in 0..n_hits {
                 let (at, flags) = buffers.hits[hit];
@@ -183,7 +167,13 @@ impl Operation for Sweep<'_> {
 
 /// Copies the strips of one tile to where vectors of any width find them, in the signs in use.
 #[inline(always)]
-fn fill<L: Lanes>(strips: &[i8], strip_bytes: usize, patterns: &[u8], buffers: &mut Buffers) {
+fn fill<L: Lanes>(
+    lanes: L,
+    strips: &[i8],
+    strip_bytes: usize,
+    patterns: &[u8],
+    buffers: &mut Buffers,
+) {
     let rows_of_tile = VECTORS * L::LANES;
     let pair_bytes = 2 * rows_of_tile;
     let n_strips = strips.len() / strip_bytes;
@@ -199,35 +189,23 @@ fn fill<L: Lanes>(strips: &[i8], strip_bytes: usize, patterns: &[u8], buffers: &
             if patterns[pair] & (1 << signs) == 0 {
                 continue;
             }
-            let from = strips
-                .chunks_exact(strip_bytes)
-                .map(|strip| &strip[pair * PAIR_BYTES..]);
-            for (out, codes) in out.chunks_exact_mut(PAIR_BYTES).zip(from) {
-                for ((out, &code), flip) in
-                    out.iter_mut().zip(&codes[..PAIR_BYTES]).zip(&FLIPS[signs])
-                {
-                    *out = (code ^ flip).wrapping_sub(*flip);
-                }
+            let flips = [0, 0x00FF_00FF, 0xFF00_FF00, u32::MAX][signs];
+            let (out, beyond) = out.split_at_mut(n_strips * PAIR_BYTES);
+            let out = out.as_chunks_mut::<PAIR_BYTES>().0;
+            for (out, strip) in out.iter_mut().zip(strips.chunks_exact(strip_bytes)) {
+                lanes.flip(&strip.as_chunks().0[pair], flips, out);
             }
-            out[n_strips * PAIR_BYTES..].fill(0);
+            beyond.fill(0);
         }
     }
     for (group, out) in buffers.norms.chunks_exact_mut(rows_of_tile).enumerate() {
-        let from = strips
-            .chunks_exact(strip_bytes)
-            .map(|strip| &strip[group * GROUP_BYTES..]);
-        for (out, codes) in out.chunks_exact_mut(STRIP_ROWS).zip(from) {
-            let (first, _) = codes[..PAIR_BYTES].as_chunks::<2>();
-            let (second, _) = codes[PAIR_BYTES..GROUP_BYTES].as_chunks::<2>();
-            for ((out, first), second) in out.iter_mut().zip(first).zip(second) {
-                let square = |code: i8| i16::from(code) * i16::from(code);
-                // A sum of two squares of codes fits, one of four would not.
-                let half = |pair: &[i8; 2]| (square(pair[0]) + square(pair[1])) >> 1;
-                *out = -half(first) - half(second);
-            }
+        let (out, beyond) = out.split_at_mut(n_strips * STRIP_ROWS);
+        let out = out.as_chunks_mut::<STRIP_ROWS>().0;
+        for (out, strip) in out.iter_mut().zip(strips.chunks_exact(strip_bytes)) {
+            lanes.norms(&strip.as_chunks().0.as_chunks().0[group], out);
         }
         // No row stands there: as far as can be.
-        out[n_strips * STRIP_ROWS..].fill(i16::MIN);
+        beyond.fill(i16::MIN);
     }
     buffers.totals.fill(0);
     for norms in buffers.norms.chunks_exact(rows_of_tile) {

@@ -12,7 +12,7 @@ const MOST_GROUPS: usize = 400;
 
 /// A stage of the first pass stops where a row that is no neighbor is this many standard
 /// deviations beyond the threshold.
-const CERTAINTY: f64 = 1.75;
+const CERTAINTY: f64 = 2.75;
 
 /// A query as the first pass sees it.
 #[derive(Debug)]

@@ -4,7 +4,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Lanes, Operation, VECTORS};
+use super::{Lanes, Operation, PAIR_BYTES, STRIP_ROWS, VECTORS};
 
 /// Proof that the machine has AVX2.
 #[derive(Debug, Clone, Copy)]
@@ -48,6 +48,31 @@ impl Lanes for Avx2 {
     fn add(self, a: __m256i, b: __m256i) -> __m256i {
         // SAFETY: AVX2 was detected.
         unsafe { _mm256_adds_epi16(a, b) }
+    }
+
+    #[inline(always)]
+    fn flip(self, codes: &[i8; PAIR_BYTES], flips: u32, out: &mut [i8; PAIR_BYTES]) {
+        // SAFETY: AVX2 was detected; both arrays have the 32 bytes, of any alignment.
+        unsafe {
+            let flips = _mm256_set1_epi32(flips.cast_signed());
+            let codes = _mm256_loadu_si256(codes.as_ptr().cast());
+            let flipped = _mm256_sub_epi8(_mm256_xor_si256(codes, flips), flips);
+            _mm256_storeu_si256(out.as_mut_ptr().cast(), flipped);
+        }
+    }
+
+    #[inline(always)]
+    fn norms(self, codes: &[[i8; PAIR_BYTES]; 2], out: &mut [i16; STRIP_ROWS]) {
+        // SAFETY: AVX2 was detected; the arrays have 32 bytes each, of any alignment.
+        unsafe {
+            let half = |pair: &[i8; PAIR_BYTES]| {
+                let magnitudes = _mm256_abs_epi8(_mm256_loadu_si256(pair.as_ptr().cast()));
+                _mm256_srli_epi16::<1>(_mm256_maddubs_epi16(magnitudes, magnitudes))
+            };
+            let sum = _mm256_add_epi16(half(&codes[0]), half(&codes[1]));
+            let negative = _mm256_sub_epi16(_mm256_setzero_si256(), sum);
+            _mm256_storeu_si256(out.as_mut_ptr().cast(), negative);
+        }
     }
 
     #[inline(always)]

@@ -4,20 +4,22 @@
 
 use std::arch::x86_64::*;
 
-use super::{Lanes, Operation, VECTORS};
+use super::{Lanes, Operation, PAIR_BYTES, STRIP_ROWS, VECTORS};
 
-/// Proof that the machine has AVX-512 F and BW.
+/// Proof that the machine has AVX-512 F and BW, and AVX2.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Avx512(());
 
 impl Avx512 {
     pub(super) fn detect() -> Option<Self> {
-        (is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw"))
-            .then_some(Self(()))
+        (is_x86_feature_detected!("avx512f")
+            && is_x86_feature_detected!("avx512bw")
+            && is_x86_feature_detected!("avx2"))
+        .then_some(Self(()))
     }
 
     pub(super) fn run<O: Operation>(self, operation: O) -> O::Output {
-        #[target_feature(enable = "avx512f,avx512bw")]
+        #[target_feature(enable = "avx2,avx512f,avx512bw")]
         fn inner<O: Operation>(lanes: Avx512, operation: O) -> O::Output {
             operation.with(lanes)
         }
@@ -49,6 +51,31 @@ impl Lanes for Avx512 {
     fn add(self, a: __m512i, b: __m512i) -> __m512i {
         // SAFETY: AVX-512 was detected.
         unsafe { _mm512_adds_epi16(a, b) }
+    }
+
+    #[inline(always)]
+    fn flip(self, codes: &[i8; PAIR_BYTES], flips: u32, out: &mut [i8; PAIR_BYTES]) {
+        // SAFETY: AVX2 was detected as well; both arrays have the 32 bytes, of any alignment.
+        unsafe {
+            let flips = _mm256_set1_epi32(flips.cast_signed());
+            let codes = _mm256_loadu_si256(codes.as_ptr().cast());
+            let flipped = _mm256_sub_epi8(_mm256_xor_si256(codes, flips), flips);
+            _mm256_storeu_si256(out.as_mut_ptr().cast(), flipped);
+        }
+    }
+
+    #[inline(always)]
+    fn norms(self, codes: &[[i8; PAIR_BYTES]; 2], out: &mut [i16; STRIP_ROWS]) {
+        // SAFETY: AVX2 was detected as well; the arrays have 32 bytes each, of any alignment.
+        unsafe {
+            let half = |pair: &[i8; PAIR_BYTES]| {
+                let magnitudes = _mm256_abs_epi8(_mm256_loadu_si256(pair.as_ptr().cast()));
+                _mm256_srli_epi16::<1>(_mm256_maddubs_epi16(magnitudes, magnitudes))
+            };
+            let sum = _mm256_add_epi16(half(&codes[0]), half(&codes[1]));
+            let negative = _mm256_sub_epi16(_mm256_setzero_si256(), sum);
+            _mm256_storeu_si256(out.as_mut_ptr().cast(), negative);
+        }
     }
 
     #[inline(always)]

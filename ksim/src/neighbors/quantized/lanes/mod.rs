@@ -11,9 +11,14 @@ mod avx512;
 mod neon;
 mod scalar;
 
+use super::codes::STRIP_ROWS;
+
 /// Vectors that one step of the pass carries: as many accumulators as hide the latency of a
 /// multiply-add, and leave registers for its operands.
 pub(super) const VECTORS: usize = 8;
+
+/// Bytes that [`Lanes::flip`] copies, and rows that [`Lanes::norms`] takes at a time: a strip's.
+pub(super) const PAIR_BYTES: usize = 2 * STRIP_ROWS;
 
 /// Vectors of 16-bit integers, one lane to a row.
 pub(super) trait Lanes: Copy {
@@ -28,6 +33,13 @@ pub(super) trait Lanes: Copy {
 
     /// `a + b`, saturating.
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+
+    /// Copies the codes of a pair of columns in one strip, `(code ^ flips) − flips`; `flips` holds the
+    /// two columns' bytes twice, all bits set for a column to negate.
+    fn flip(self, codes: &[i8; PAIR_BYTES], flips: u32, out: &mut [i8; PAIR_BYTES]);
+
+    /// −⌊(a² + b²)/2⌋ − ⌊(c² + d²)/2⌋ for the rows of a strip, from the codes of two pairs of columns.
+    fn norms(self, codes: &[[i8; PAIR_BYTES]; 2], out: &mut [i16; STRIP_ROWS]);
 
     /// Adds to every lane, saturating, the product of its two codes in `rows` with the pair of
     /// bytes that `query` holds twice, each at most 127 (so that no product saturates).
@@ -136,6 +148,7 @@ mod tests {
         rows: &'a [i8],
         starts: &'a [i16],
         query: u32,
+        flips: u32,
         limit: i16,
     }
 
@@ -147,6 +160,8 @@ mod tests {
         passed_twice: Vec<bool>,
         /// Per 32 rows, so that units of any width agree.
         any: Vec<bool>,
+        flipped: Vec<i8>,
+        norms: Vec<i16>,
     }
 
     impl Operation for Probe<'_> {
@@ -157,7 +172,18 @@ mod tests {
                 passed: Vec::new(),
                 passed_twice: Vec::new(),
                 any: Vec::new(),
+                flipped: vec![0; self.rows.len()],
+                norms: vec![0; self.rows.len() / 4],
             };
+            let pairs = self.rows.as_chunks::<PAIR_BYTES>().0;
+            let flipped = seen.flipped.as_chunks_mut::<PAIR_BYTES>().0;
+            for (codes, out) in pairs.iter().zip(flipped) {
+                lanes.flip(codes, self.flips, out);
+            }
+            let norms = seen.norms.as_chunks_mut::<STRIP_ROWS>().0;
+            for (codes, out) in pairs.as_chunks::<2>().0.iter().zip(norms) {
+                lanes.norms(codes, out);
+            }
             let limit = lanes.splat(self.limit);
             let mut by_vector = Vec::new();
             for (starts, rows) in self
@@ -242,7 +268,25 @@ mod tests {
                 .iter()
                 .zip(&starts)
                 .map(|(sum, start)| sum.saturating_add(*start) >= limit);
+            let signs = round % 4;
+            let flips = [0, 0x00FF_00FF, 0xFF00_FF00, u32::MAX][signs];
+            let negate = |(at, &code): (usize, &i8)| {
+                if signs >> (at % 2) & 1 == 1 {
+                    -code
+                } else {
+                    code
+                }
+            };
+            let half = |row: usize, pair: usize| {
+                let at = row / 16 * 64 + pair * 32 + row % 16 * 2;
+                let square = |at: usize| i16::from(rows[at]) * i16::from(rows[at]);
+                (square(at) + square(at + 1)) / 2
+            };
             let seen = Seen {
+                flipped: rows.iter().enumerate().map(negate).collect(),
+                norms: (0..ROWS / 2)
+                    .map(|row| -half(row, 0) - half(row, 1))
+                    .collect(),
                 passed_twice: twice.collect(),
                 any: passed.chunks(32).map(|rows| rows.contains(&true)).collect(),
                 passed,
@@ -252,6 +296,7 @@ mod tests {
                     rows: &rows,
                     starts: &starts,
                     query,
+                    flips,
                     limit,
                 };
                 assert_eq!(simd.run(probe), seen, "{simd:?}, round {round}");

@@ -4,7 +4,7 @@
 
 use std::arch::aarch64::*;
 
-use super::{Lanes, Operation, VECTORS};
+use super::{Lanes, Operation, PAIR_BYTES, STRIP_ROWS, VECTORS};
 
 /// Proof that the machine has NEON.
 #[derive(Debug, Clone, Copy)]
@@ -44,6 +44,43 @@ impl Lanes for Neon {
     fn add(self, a: int16x8_t, b: int16x8_t) -> int16x8_t {
         // SAFETY: NEON was detected.
         unsafe { vqaddq_s16(a, b) }
+    }
+
+    #[inline(always)]
+    fn flip(self, codes: &[i8; PAIR_BYTES], flips: u32, out: &mut [i8; PAIR_BYTES]) {
+        for (codes, out) in codes
+            .as_chunks::<16>()
+            .0
+            .iter()
+            .zip(out.as_chunks_mut::<16>().0)
+        {
+            // SAFETY: NEON was detected; both arrays have 16 bytes.
+            unsafe {
+                let flips = vreinterpretq_s8_u32(vdupq_n_u32(flips));
+                let flipped = vsubq_s8(veorq_s8(vld1q_s8(codes.as_ptr()), flips), flips);
+                vst1q_s8(out.as_mut_ptr(), flipped);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn norms(self, codes: &[[i8; PAIR_BYTES]; 2], out: &mut [i16; STRIP_ROWS]) {
+        let [first, second] = codes.each_ref().map(|pair| pair.as_chunks::<16>().0);
+        let rows = out.as_chunks_mut::<LANES>().0.iter_mut();
+        for ((first, second), out) in first.iter().zip(second).zip(rows) {
+            // SAFETY: NEON was detected; the arrays have 16 bytes each.
+            unsafe {
+                let half = |pair: &[i8; 16]| {
+                    let codes = vld1q_s8(pair.as_ptr());
+                    let low = vmull_s8(vget_low_s8(codes), vget_low_s8(codes));
+                    vshrq_n_s16::<1>(vpaddq_s16(low, vmull_high_s8(codes, codes)))
+                };
+                vst1q_s16(
+                    out.as_mut_ptr(),
+                    vnegq_s16(vaddq_s16(half(first), half(second))),
+                );
+            }
+        }
     }
 
     #[inline(always)]

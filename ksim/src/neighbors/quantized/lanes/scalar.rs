@@ -1,6 +1,6 @@
 //! Plain Rust: the definition that the other units are tested against.
 
-use super::{Lanes, VECTORS};
+use super::{Lanes, PAIR_BYTES, STRIP_ROWS, VECTORS};
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Scalar;
@@ -24,6 +24,25 @@ impl Lanes for Scalar {
     #[inline(always)]
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
         std::array::from_fn(|lane| a[lane].saturating_add(b[lane]))
+    }
+
+    #[inline(always)]
+    fn flip(self, codes: &[i8; PAIR_BYTES], flips: u32, out: &mut [i8; PAIR_BYTES]) {
+        let flips = flips.to_le_bytes().map(u8::cast_signed);
+        for (at, (out, code)) in out.iter_mut().zip(codes).enumerate() {
+            *out = (code ^ flips[at % 2]).wrapping_sub(flips[at % 2]);
+        }
+    }
+
+    #[inline(always)]
+    fn norms(self, codes: &[[i8; PAIR_BYTES]; 2], out: &mut [i16; STRIP_ROWS]) {
+        let half = |pair: &[i8; PAIR_BYTES], row: usize| {
+            let square = |code: i8| i16::from(code) * i16::from(code);
+            (square(pair[2 * row]) + square(pair[2 * row + 1])) >> 1
+        };
+        for (row, out) in out.iter_mut().enumerate() {
+            *out = -half(&codes[0], row) - half(&codes[1], row);
+        }
     }
 
     #[inline(always)]
