@@ -171,6 +171,12 @@ pub enum SearchError {
         /// Width asked for.
         found: usize,
     },
+    /// Rounded rows that cannot be searched.
+    #[error("rounded rows do not go with the data, or contradict themselves: {what}")]
+    RoundedRows {
+        /// What does not fit.
+        what: &'static str,
+    },
     /// No neighbors were asked for.
     #[error("n_neighbors is 0, expected at least 1")]
     NoNeighbors,

@@ -44,11 +44,12 @@ pub use error::{DataError, KMeansError, ScoreError, SearchError};
 pub use kmeans::{KMeans, KMeansBackend, KMeansParams};
 pub use matrix::{Matrix, MatrixView};
 pub use neighbors::{
-    Blocked, Clusters, KdTree, Linear, Neighbor, NeighborIndex, Neighbors, SearchRequest, Simd,
+    Blocked, Clusters, KdTree, Linear, Neighbor, NeighborIndex, Neighbors, RoundedRows,
+    SearchRequest, Simd,
 };
 pub use normalizer::Normalizer;
 pub use score::{
-    Aggregate, ApproximationError, EpisodeScore, KSim, KSimParams, Reference, Report, ScoreOptions,
-    Search, StepScore,
+    Aggregate, ApproximationError, EpisodeScore, KSim, KSimParams, Prepared, Reference, Report,
+    ScoreOptions, Search, StepScore,
 };
 pub use trajectories::{EpisodeRows, Trajectories};

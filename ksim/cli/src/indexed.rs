@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use anyhow::{Context as _, Result, bail};
-use ksim::{KMeans, Reference, Search};
+use ksim::{Prepared, Reference, Search};
 use ksim_datasets::{DatasetInfo, DatasetSource, ObservationLayout, OpenOptions};
 use ksim_index::{About, SavedIndex};
 
@@ -33,12 +33,12 @@ pub(crate) struct Request<'a> {
 
 /// What an index holds.
 pub(crate) struct Indexed {
-    /// The file, for giving back its memory.
+    /// The file: it lives as long as the rest is used.
     pub(crate) saved: SavedIndex,
     /// The normalized reference.
     pub(crate) reference: Reference,
-    /// The clusters, where the search is to have them.
-    pub(crate) clusters: Option<KMeans>,
+    /// What the search takes from the index: the clusters, the rounded rows.
+    pub(crate) prepared: Prepared,
     /// Recorded step numbers.
     pub(crate) numbers: StepNumbers,
 }
@@ -58,21 +58,27 @@ pub(crate) fn open(path: &Path, request: &Request<'_>, context: &Context) -> Res
             check_clusters(about, request)?;
         }
         check_dataset(about, request, context)?;
-        let clusters = match has_clusters {
-            true => saved.clusters()?,
-            false => None,
+        let prepared = match request.settings.search {
+            Search::Clusters => Prepared {
+                clusters: saved.clusters()?,
+                rounded: saved.rounded_clusters()?,
+            },
+            Search::Auto | Search::Blocked => Prepared {
+                clusters: None,
+                rounded: saved.rounded_rows()?,
+            },
+            Search::Linear | Search::KdTree => Prepared::default(),
         };
-        if let (Some(clusters), Some(centers)) = (&clusters, request.centers)
+        if let (Some(clusters), Some(centers)) = (&prepared.clusters, request.centers)
             && clusters.centers() != centers.values
         {
             bail!("its centers are not those of --centers: build it again with them");
         }
         let reference = saved.reference()?;
         let numbers = StepNumbers::new(saved.numbers()?);
-        saved.release();
         Ok(Indexed {
             reference,
-            clusters,
+            prepared,
             numbers,
             saved,
         })

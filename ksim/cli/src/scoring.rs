@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
-use ksim::{ApproximationError, KMeans, KSim, Reference, Report, ScoreOptions, Search};
+use ksim::{ApproximationError, KSim, Prepared, Reference, Report, ScoreOptions, Search};
 use ksim_datasets::{DatasetInfo, DatasetSource, OpenOptions};
 use ksim_index::SavedIndex;
 
@@ -70,8 +70,8 @@ struct Fitted {
     ksim: KSim,
     /// An exact search over the same reference, if the approximation error is wanted.
     exact: Option<KSim>,
-    /// The index the reference lies in.
-    saved: Option<SavedIndex>,
+    /// The index the reference lies in, which bounds the memory of a large one while it lives.
+    _saved: Option<SavedIndex>,
     steps: StepNumbers,
     dataset: DatasetPart,
     parameters: Parameters,
@@ -156,22 +156,22 @@ fn warn_of(info: &DatasetInfo, context: &Context) {
     }
 }
 
-/// A reference that is normalized, or to be.
-struct Prepared {
+/// A normalized reference, and what is known about it.
+struct Loaded {
     reference: Reference,
-    clusters: Option<KMeans>,
+    prepared: Prepared,
     fingerprint: String,
     steps: StepNumbers,
     saved: Option<SavedIndex>,
 }
 
 /// Takes the reference from the index, or reads and normalizes the dataset.
-fn prepare(
+fn load_reference(
     inputs: &Inputs,
     centers: Option<&Centers>,
     job: &Job,
     context: &Context,
-) -> Result<Prepared> {
+) -> Result<Loaded> {
     let (source, columns) = (&*inputs.dataset, &inputs.columns);
     if let Some(path) = &job.index {
         let request = Request {
@@ -182,19 +182,19 @@ fn prepare(
             centers,
         };
         let indexed = indexed::open(path, &request, context)?;
-        return Ok(Prepared {
+        return Ok(Loaded {
             reference: indexed.reference,
-            clusters: indexed.clusters,
+            prepared: indexed.prepared,
             fingerprint: indexed.saved.about().dataset.fingerprint.clone(),
             steps: indexed.numbers,
             saved: Some(indexed.saved),
         });
     }
     let (data, steps) = load::dataset(source, columns, context)?.into_parts();
-    Ok(Prepared {
+    Ok(Loaded {
         fingerprint: data.fingerprint(),
         reference: Reference::new(data)?,
-        clusters: None,
+        prepared: Prepared::default(),
         steps,
         saved: None,
     })
@@ -206,16 +206,16 @@ fn fit(inputs: &Inputs, job: &Job, context: &Context) -> Result<Fitted> {
     let info = inputs.dataset.info();
     let columns = &inputs.columns;
     let centers = read_centers(settings, columns.indices.len())?;
-    let prepared = prepare(inputs, centers.as_ref(), job, context)?;
-    let reference = prepared.reference;
+    let loaded = load_reference(inputs, centers.as_ref(), job, context)?;
+    let reference = loaded.reference;
     let dataset = DatasetPart {
         n_episodes: reference.episodes().len(),
         n_steps: reference.states().n_rows(),
-        fingerprint: prepared.fingerprint,
+        fingerprint: loaded.fingerprint,
         ..DatasetPart::new(&inputs.dataset_name, info)
     };
     let mut parameters = Parameters::new(settings, columns, reference.actions().n_features());
-    let working = match (settings.search, &centers, &prepared.clusters) {
+    let working = match (settings.search, &centers, &loaded.prepared.clusters) {
         (Search::Clusters, None, None) => "fitting the clusters",
         _ => "building the search",
     };
@@ -223,7 +223,7 @@ fn fit(inputs: &Inputs, job: &Job, context: &Context) -> Result<Fitted> {
     let given = centers.as_ref().map(|centers| centers.values.clone());
     let ksim = settings
         .params(given)
-        .fit_prepared(reference, prepared.clusters)
+        .fit_prepared(reference, loaded.prepared)
         .with_context(|| info.path.display().to_string())?;
     let exact = settings
         .approximation_error
@@ -237,8 +237,8 @@ fn fit(inputs: &Inputs, job: &Job, context: &Context) -> Result<Fitted> {
     Ok(Fitted {
         ksim,
         exact,
-        saved: prepared.saved,
-        steps: prepared.steps,
+        _saved: loaded.saved,
+        steps: loaded.steps,
         dataset,
         parameters,
         search,
@@ -324,12 +324,7 @@ fn score_one(
     let started = Instant::now();
     let n_steps = steps.trajectories.n_rows() as u64;
     let progress = context.bar(format!("scoring {file}"), n_steps, "steps");
-    let mut set = |done: usize| {
-        progress.set(done as u64);
-        if let Some(saved) = &fitted.saved {
-            saved.release();
-        }
-    };
+    let mut set = |done: usize| progress.set(done as u64);
     let mut options = ScoreOptions {
         exclude_same_episode: settings.exclude_same_episode,
         progress: Some(&mut set),

@@ -3,16 +3,18 @@
 use std::fs::File;
 use std::io::BufWriter;
 use std::ops::Range;
+use std::sync::Arc;
 
 use ksim::{
-    Buffer, EpisodeRows, KMeans, KMeansError, KMeansParams, Matrix, Normalizer, Reference,
-    Trajectories,
+    Blocked, Buffer, Clusters, EpisodeRows, KMeans, KMeansError, KMeansParams, KdTree, Matrix,
+    Normalizer, Reference, RoundedRows, Trajectories,
 };
 use rayon::prelude::*;
 
 use crate::about::{About, AboutClusters};
 use crate::error::IndexError;
-use crate::format::Entry;
+use crate::format::{CELLS, Entry, ROWS};
+use crate::limit::{LIMIT, Limiter};
 use crate::mapping::Mapping;
 use crate::staging::StagedSteps;
 use crate::writer::SectionWriter;
@@ -29,6 +31,8 @@ pub enum Stage {
     Normalizing,
     /// The clusters are fitted.
     Clusters,
+    /// Rows are rounded to what the search looks at first.
+    Rounding,
 }
 
 impl Stage {
@@ -38,6 +42,7 @@ impl Stage {
             Self::Statistics => "computing means and deviations",
             Self::Normalizing => "writing normalized values",
             Self::Clusters => "fitting the clusters",
+            Self::Rounding => "rounding the rows",
         }
     }
 }
@@ -72,7 +77,8 @@ pub fn write(
     say: &mut dyn FnMut(Stage),
 ) -> Result<About, IndexError> {
     say(Stage::Statistics);
-    let raw = steps.into_trajectories()?;
+    let (raw, mappings) = steps.into_trajectories()?;
+    let raw_limiter = Limiter::start(mappings, LIMIT);
     if raw.n_rows() == 0 {
         return Err(ksim::ScoreError::EmptyReference.into());
     }
@@ -100,16 +106,24 @@ pub fn write(
     let names = [["state.high", "state.low"], ["action.high", "action.low"]];
     normalized(raw.states(), &normalizers.0, names[0], &mut writer)?;
     normalized(raw.actions(), &normalizers.1, names[1], &mut writer)?;
-    about.clusters = match clustering {
-        Some(clustering) => {
-            say(Stage::Clusters);
-            let reference = read_back(&mut writer, file, &raw, normalizers)?;
-            // The raw values are needed no more, nor the disk they are on.
-            drop(raw);
-            Some(clusters(&reference, clustering, &mut writer)?)
-        }
-        None => None,
-    };
+    let (reference, mapping) = read_back(&mut writer, file, &raw, normalizers)?;
+    // The raw values are needed no more, nor the disk they are on.
+    drop((raw_limiter, raw));
+    let _limiter = Limiter::start(vec![mapping], LIMIT);
+    let states = reference.states();
+    if states.n_features() > KdTree::MAX_FEATURES {
+        say(Stage::Rounding);
+        let rounded = Blocked::new(Arc::clone(states)).rounded();
+        write_rounded(&rounded, &ROWS, &mut writer)?;
+    }
+    if let Some(clustering) = clustering {
+        say(Stage::Clusters);
+        let fitted = fitted(states, clustering)?;
+        about.clusters = Some(write_clusters(&fitted, clustering, &mut writer)?);
+        say(Stage::Rounding);
+        let rounded = Clusters::new(Arc::clone(states), fitted).rounded();
+        write_rounded(&rounded, &CELLS, &mut writer)?;
+    }
     let json = serde_json::to_vec_pretty(&about).map_err(std::io::Error::from);
     writer.section("about", &json.map_err(IndexError::io("write the index"))?)?;
     writer.finish()?;
@@ -174,7 +188,7 @@ fn read_back(
     file: &File,
     raw: &Trajectories,
     normalizers: (Normalizer, Normalizer),
-) -> Result<Reference, IndexError> {
+) -> Result<(Reference, Mapping), IndexError> {
     writer.flush()?;
     let mapping = Mapping::new(file).map_err(IndexError::io("map the unfinished index"))?;
     let plane = |name| {
@@ -189,20 +203,40 @@ fn read_back(
         raw.action_dim(),
     )?;
     let normalized = Trajectories::from_parts(states, actions, raw.episodes().to_vec())?;
-    Ok(Reference::from_normalized(normalized, normalizers)?)
+    Ok((
+        Reference::from_normalized(normalized, normalizers)?,
+        mapping,
+    ))
 }
 
-fn clusters(
-    reference: &Reference,
+fn fitted(states: &Matrix, clustering: &Clustering) -> Result<KMeans, KMeansError> {
+    match clustering {
+        Clustering::Fit { params, .. } => params.fit(states),
+        Clustering::Given(centers) => KMeans::from_centers(centers, states.n_features(), states),
+    }
+}
+
+fn write_rounded(
+    rounded: &RoundedRows,
+    names: &[&'static str; 8],
+    writer: &mut SectionWriter<BufWriter<&File>>,
+) -> Result<(), IndexError> {
+    let [scale, strips, order, starts, errors, clipped, levels, norm] = names;
+    writer.section(scale, &little_endian(&rounded.scale))?;
+    writer.section(strips, bytemuck::cast_slice(&rounded.strips))?;
+    writer.section(order, bytemuck::cast_slice(&rounded.order))?;
+    writer.section(starts, bytemuck::cast_slice(&rounded.block_starts))?;
+    writer.section(errors, &little_endian(&rounded.block_errors))?;
+    writer.section(clipped, &rounded.block_clipped)?;
+    writer.section(levels, bytemuck::cast_slice(&rounded.levels))?;
+    writer.section(norm, &rounded.max_norm.to_le_bytes())
+}
+
+fn write_clusters(
+    fitted: &KMeans,
     clustering: &Clustering,
     writer: &mut SectionWriter<BufWriter<&File>>,
 ) -> Result<AboutClusters, IndexError> {
-    let states = reference.states();
-    let fitted: Result<KMeans, KMeansError> = match clustering {
-        Clustering::Fit { params, .. } => params.fit(states),
-        Clustering::Given(centers) => KMeans::from_centers(centers, states.n_features(), states),
-    };
-    let fitted = fitted?;
     writer.section("centers", &little_endian(fitted.centers()))?;
     writer.section("labels", bytemuck::cast_slice(fitted.labels()))?;
     writer.section("inertia", &fitted.inertia().to_le_bytes())?;

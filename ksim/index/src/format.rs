@@ -14,6 +14,29 @@ pub(crate) const FRAME: usize = 64;
 /// Sections begin at multiples of this: the page of most machines.
 pub(crate) const ALIGNMENT: usize = 4096;
 
+/// Sections of the rounded rows, in file order; see [`ksim::RoundedRows`] for what is in them.
+pub(crate) const ROWS: [&str; 8] = [
+    "rows.scale",
+    "rows.strips",
+    "rows.order",
+    "rows.starts",
+    "rows.errors",
+    "rows.clipped",
+    "rows.levels",
+    "rows.norm",
+];
+/// The same, by clusters.
+pub(crate) const CELLS: [&str; 8] = [
+    "cells.scale",
+    "cells.strips",
+    "cells.order",
+    "cells.starts",
+    "cells.errors",
+    "cells.clipped",
+    "cells.levels",
+    "cells.norm",
+];
+
 /// Bytes of a section's name.
 const NAME: usize = 16;
 

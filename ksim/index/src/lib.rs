@@ -8,6 +8,7 @@
 //! | `staging` | steps on their way in, in unnamed temporary files |
 //! | `saved` | how one is opened, checked and used |
 //! | `mapping` | files in memory: the only unsafe code here |
+//! | `limit` | keeps what is resident of large files within bounds |
 //!
 //! # Format, version 1
 //! All numbers are little-endian. A file is a header of 64 bytes, sections, a directory and a footer of 64
@@ -27,12 +28,15 @@
 //! | `episodes` | i64 × 3 per episode: its number, first row, row after its last |
 //! | `numbers` | i64 per row: recorded step numbers, where they do not count from 0 |
 //! | `state.high`, `state.low`, `action.high`, `action.low` | normalized values as two f32, row-major |
+//! | `rows.…` | the states rounded to bytes, as [`ksim::RoundedRows`] has them: only for more columns than a k-d tree takes |
+//! | `cells.…` | the same by clusters: only with clusters |
 //! | `centers`, `labels`, `inertia` | f64 per center and column, u32 per row, one f64: only with clusters |
 
 mod about;
 mod build;
 mod error;
 mod format;
+mod limit;
 mod mapping;
 mod saved;
 mod staging;

@@ -35,6 +35,11 @@ impl Mapping {
         Bytes::from_owner(Shared(Arc::clone(&self.0))).slice(range)
     }
 
+    /// Gives back the memory behind the whole file.
+    pub(crate) fn release_all(&self) {
+        self.release(0..self.0.len());
+    }
+
     /// Gives back the memory behind a part: it is read again where it is used again. Nothing happens where the
     /// system has no such call.
     pub(crate) fn release(&self, range: Range<usize>) {

@@ -4,17 +4,18 @@ use std::fs::File;
 use std::path::Path;
 
 use bytemuck::Pod;
-use ksim::{Buffer, EpisodeRows, KMeans, Matrix, Normalizer, Reference, Trajectories};
+use ksim::{Buffer, EpisodeRows, KMeans, Matrix, Normalizer, Reference, RoundedRows, Trajectories};
 
 use crate::about::About;
 use crate::error::IndexError;
-use crate::format::{self, Entry};
+use crate::format::{self, CELLS, Entry, ROWS};
+use crate::limit::{LIMIT, Limiter};
 use crate::mapping::Mapping;
 
 /// Bytes whose checksum is taken at a time before their memory is given back.
 const VERIFIED_AT_A_TIME: usize = 64 << 20;
 
-/// Files up to so many bytes stay in memory once they are read.
+/// Files up to so many bytes stay in memory once they are looked at.
 const KEPT: usize = 1 << 30;
 
 /// An opened index: mapped, its frame checked. Sections are checked when they are asked for.
@@ -23,6 +24,8 @@ pub struct SavedIndex {
     mapping: Mapping,
     entries: Vec<Entry>,
     about: About,
+    /// Of a large file, keeps memory within bounds.
+    _limiter: Option<Limiter>,
 }
 
 /// A section, for people.
@@ -47,7 +50,9 @@ impl SavedIndex {
         }
         let mapping = Mapping::new(&file).map_err(IndexError::io("map the index"))?;
         let entries = format::read(mapping.bytes())?;
+        let is_large = mapping.bytes().len() > KEPT;
         let mut index = Self {
+            _limiter: is_large.then(|| Limiter::start(vec![mapping.clone()], LIMIT)),
             mapping,
             entries,
             about: About::default(),
@@ -131,10 +136,7 @@ impl SavedIndex {
         let Some(about) = &self.about.clusters else {
             return Ok(None);
         };
-        let inertia = self.values::<f64>("inertia")?;
-        let &[inertia] = &*inertia else {
-            return Err(damaged(self.entry("inertia")?));
-        };
+        let inertia = self.number("inertia")?;
         let fitted = KMeans::from_fit(
             self.values::<f64>("centers")?.to_vec(),
             self.about.state_columns.len(),
@@ -145,10 +147,44 @@ impl SavedIndex {
         Ok(Some(fitted))
     }
 
-    /// Gives back the memory of a file that is too large to keep; it is read again where it is needed.
-    pub fn release(&self) {
-        if self.n_bytes() > KEPT {
-            self.mapping.release(0..self.n_bytes());
+    /// The states rounded for exact search, checked; `None` if there are so few columns that a k-d tree does it.
+    ///
+    /// # Errors
+    /// Sections that are missing or damaged.
+    pub fn rounded_rows(&self) -> Result<Option<RoundedRows>, IndexError> {
+        self.rounded(&ROWS)
+    }
+
+    /// The states rounded for the search in clusters, checked; `None` without clusters.
+    ///
+    /// # Errors
+    /// Sections that are missing or damaged.
+    pub fn rounded_clusters(&self) -> Result<Option<RoundedRows>, IndexError> {
+        self.rounded(&CELLS)
+    }
+
+    fn rounded(&self, names: &[&'static str; 8]) -> Result<Option<RoundedRows>, IndexError> {
+        let [scale, strips, order, starts, errors, clipped, levels, norm] = *names;
+        if !self.has(scale) {
+            return Ok(None);
+        }
+        Ok(Some(RoundedRows {
+            scale: self.values::<f64>(scale)?.to_vec(),
+            strips: self.values(strips)?,
+            order: self.values(order)?,
+            block_starts: self.values(starts)?,
+            block_errors: self.values(errors)?,
+            block_clipped: self.values(clipped)?,
+            levels: self.values(levels)?,
+            max_norm: self.number(norm)?,
+        }))
+    }
+
+    /// A section of one number.
+    fn number(&self, name: &'static str) -> Result<f64, IndexError> {
+        match *self.values::<f64>(name)? {
+            [value] => Ok(value),
+            _ => Err(damaged(self.entry(name)?)),
         }
     }
 

@@ -100,13 +100,16 @@ impl StagedSteps {
     /// # Errors
     /// Temporary files that cannot be read back.
     pub fn fingerprint(self) -> Result<String, IndexError> {
-        Ok(self.into_trajectories()?.fingerprint())
+        Ok(self.into_trajectories()?.0.fingerprint())
     }
 
-    /// All steps, read from the files where they are needed.
-    pub(crate) fn into_trajectories(self) -> Result<Trajectories, IndexError> {
-        let (states, actions) = (self.states.mapped()?, self.actions.mapped()?);
-        Ok(Trajectories::from_parts(states, actions, self.episodes)?)
+    /// All steps, read from the files where they are needed, and the mappings of these.
+    pub(crate) fn into_trajectories(self) -> Result<(Trajectories, Vec<Mapping>), IndexError> {
+        let mut mappings = Vec::new();
+        let states = self.states.mapped(&mut mappings)?;
+        let actions = self.actions.mapped(&mut mappings)?;
+        let data = Trajectories::from_parts(states, actions, self.episodes)?;
+        Ok((data, mappings))
     }
 }
 
@@ -172,8 +175,8 @@ impl StagedMatrix {
         Ok(())
     }
 
-    fn mapped(self) -> Result<Matrix, IndexError> {
-        let plane = |file: BufWriter<File>| {
+    fn mapped(self, mappings: &mut Vec<Mapping>) -> Result<Matrix, IndexError> {
+        let mut plane = |file: BufWriter<File>| {
             let file = file.into_inner().map_err(|error| error.into_error());
             let file = file.map_err(IndexError::io(STAGE))?;
             if self.n_values == 0 {
@@ -181,10 +184,14 @@ impl StagedMatrix {
             }
             let mapping = Mapping::new(&file).map_err(IndexError::io("map a temporary file"))?;
             let bytes = mapping.share(0..mapping.bytes().len());
+            mappings.push(mapping);
             Ok::<_, IndexError>(Buffer::lent(bytes)?)
         };
         let high = plane(self.high)?;
-        let low = self.low.map_or_else(|| Ok(Buffer::default()), plane)?;
+        let low = match self.low {
+            Some(low) => plane(low)?,
+            None => Buffer::default(),
+        };
         Ok(Matrix::from_planes(high, low, self.width)?)
     }
 }
@@ -223,7 +230,7 @@ mod tests {
             own.push(episode, &states, &actions).unwrap();
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-        let staged = staged.into_trajectories().unwrap();
+        let (staged, _) = staged.into_trajectories().unwrap();
         assert_eq!(staged.fingerprint(), own.fingerprint());
         assert_eq!(staged.episodes(), own.episodes());
     }

@@ -5,11 +5,12 @@
 use std::fs::{self, File};
 use std::path::Path;
 
-use ksim::{KMeans, KSim, Report, Search, Trajectories};
+use ksim::{KMeans, KSim, KdTree, Prepared, Report, Search, Trajectories};
 use ksim_index::{About, AboutDataset, Clustering, IndexError, SavedIndex, StagedSteps, VERSION};
 use proptest::prelude::*;
 
-const STATE_DIM: usize = 5;
+/// More than a k-d tree takes.
+const STATE_DIM: usize = 11;
 const N_CLUSTERS: usize = 7;
 
 /// Episodes of unequal length; some values need both planes.
@@ -93,14 +94,27 @@ fn scores_with_the_index_are_those_without_to_the_last_bit() {
     assert_eq!((about.dataset.n_steps, about.dataset.n_episodes), (651, 3));
     assert_eq!(saved.numbers().unwrap(), Some(numbers));
     for search in Search::ALL {
+        if search == Search::KdTree {
+            const { assert!(STATE_DIM > KdTree::MAX_FEATURES) };
+            continue;
+        }
         let params = KSim::params().search(search).n_neighbors(9);
         let params = params.kmeans(KMeans::params(N_CLUSTERS).seed(4));
         let own = params.clone().fit(in_memory()).unwrap();
-        let clusters = saved.clusters().unwrap();
+        let prepared = match search {
+            Search::Clusters => Prepared {
+                clusters: saved.clusters().unwrap(),
+                rounded: Some(saved.rounded_clusters().unwrap().unwrap()),
+            },
+            Search::Blocked => Prepared {
+                clusters: None,
+                rounded: Some(saved.rounded_rows().unwrap().unwrap()),
+            },
+            _ => Prepared::default(),
+        };
         let indexed = params
-            .fit_prepared(saved.reference().unwrap(), clusters)
+            .fit_prepared(saved.reference().unwrap(), prepared)
             .unwrap();
-        saved.release();
         assert_eq!(score(&own), score(&indexed), "{search}");
         if search == Search::Clusters {
             let (own, indexed) = (
@@ -190,6 +204,8 @@ fn read_all(path: &Path) -> Result<(), IndexError> {
     let saved = SavedIndex::open(path)?;
     saved.reference()?;
     saved.clusters()?;
+    saved.rounded_rows()?;
+    saved.rounded_clusters()?;
     saved.numbers()?;
     saved.verify()
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::quantized::{BATCH_QUERIES, Codes, Searcher, Simd};
+use super::quantized::{BATCH_QUERIES, Codes, RoundedRows, Searcher, Simd};
 use super::scan::Query;
 use super::{NeighborIndex, Neighbors, SearchRequest};
 use crate::error::SearchError;
@@ -37,6 +37,26 @@ impl Blocked {
             max_norm,
             simd: Simd::best(),
         }
+    }
+
+    /// Indexes `data` by rows that were rounded before: no pass over the data.
+    ///
+    /// # Errors
+    /// [`SearchError::RoundedRows`] if they are not of as many rows and columns.
+    pub fn from_rounded(data: Arc<Matrix>, rounded: RoundedRows) -> Result<Self, SearchError> {
+        let shape = (data.n_rows(), data.n_features());
+        let (codes, max_norm) = rounded.into_codes(shape, 1)?;
+        Ok(Self {
+            data,
+            codes: Arc::new(codes),
+            max_norm,
+            simd: Simd::best(),
+        })
+    }
+
+    /// A copy of the rounded rows, for [`from_rounded`](Self::from_rounded).
+    pub fn rounded(&self) -> RoundedRows {
+        RoundedRows::of(&self.codes, self.max_norm)
     }
 
     /// Takes another vector unit than the best; the answers are the same.

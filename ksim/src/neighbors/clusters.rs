@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::quantized::{BATCH_QUERIES, Codes, Searcher, Simd};
+use super::quantized::{BATCH_QUERIES, Codes, RoundedRows, Searcher, Simd};
 use super::scan::Query;
 use super::{NeighborIndex, Neighbors, SearchRequest};
 use crate::error::SearchError;
@@ -36,24 +36,7 @@ impl Clusters {
     /// # Panics
     /// If `kmeans` was fitted to another number of rows.
     pub fn new(data: Arc<Matrix>, kmeans: KMeans) -> Self {
-        assert_eq!(
-            kmeans.labels().len(),
-            data.n_rows(),
-            "rows behind the clusters"
-        );
-        let mut offsets = vec![0; kmeans.n_clusters() + 1];
-        for &label in kmeans.labels() {
-            offsets[label as usize + 1] += 1;
-        }
-        for cluster in 0..kmeans.n_clusters() {
-            offsets[cluster + 1] += offsets[cluster];
-        }
-        let mut next = offsets.clone();
-        let mut rows = vec![0; data.n_rows()];
-        for (row, &label) in kmeans.labels().iter().enumerate() {
-            rows[next[label as usize]] = row as u32;
-            next[label as usize] += 1;
-        }
+        let (rows, offsets) = rows_by_cluster(&data, &kmeans);
         let segments: Vec<&[u32]> = offsets
             .windows(2)
             .map(|ends| &rows[ends[0]..ends[1]])
@@ -69,6 +52,37 @@ impl Clusters {
             max_norm,
             simd: Simd::best(),
         }
+    }
+
+    /// The same by rows that were rounded before: no pass over the data.
+    ///
+    /// # Errors
+    /// [`SearchError::RoundedRows`] if they are not of as many rows, columns and clusters.
+    ///
+    /// # Panics
+    /// As [`new`](Self::new).
+    pub fn from_rounded(
+        data: Arc<Matrix>,
+        kmeans: KMeans,
+        rounded: RoundedRows,
+    ) -> Result<Self, SearchError> {
+        let (rows, offsets) = rows_by_cluster(&data, &kmeans);
+        let shape = (data.n_rows(), data.n_features());
+        let (codes, max_norm) = rounded.into_codes(shape, kmeans.n_clusters())?;
+        Ok(Self {
+            data,
+            kmeans,
+            rows,
+            offsets,
+            codes: Arc::new(codes),
+            max_norm,
+            simd: Simd::best(),
+        })
+    }
+
+    /// A copy of the rounded rows, for [`from_rounded`](Self::from_rounded).
+    pub fn rounded(&self) -> RoundedRows {
+        RoundedRows::of(&self.codes, self.max_norm)
     }
 
     /// Takes another vector unit than the best; the answers are the same.
@@ -103,6 +117,29 @@ impl Clusters {
             .find(|&cluster| has_row(cluster))
             .unwrap_or(nearest)
     }
+}
+
+/// Rows by cluster, ascending within each, and `n_clusters + 1` offsets into them.
+fn rows_by_cluster(data: &Matrix, kmeans: &KMeans) -> (Vec<u32>, Vec<usize>) {
+    assert_eq!(
+        kmeans.labels().len(),
+        data.n_rows(),
+        "rows behind the clusters"
+    );
+    let mut offsets = vec![0; kmeans.n_clusters() + 1];
+    for &label in kmeans.labels() {
+        offsets[label as usize + 1] += 1;
+    }
+    for cluster in 0..kmeans.n_clusters() {
+        offsets[cluster + 1] += offsets[cluster];
+    }
+    let mut next = offsets.clone();
+    let mut rows = vec![0; data.n_rows()];
+    for (row, &label) in kmeans.labels().iter().enumerate() {
+        rows[next[label as usize]] = row as u32;
+        next[label as usize] += 1;
+    }
+    (rows, offsets)
 }
 
 impl NeighborIndex for Clusters {

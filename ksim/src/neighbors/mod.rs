@@ -18,7 +18,7 @@ pub use blocked::Blocked;
 pub use clusters::Clusters;
 pub use kd_tree::KdTree;
 pub use linear::Linear;
-pub use quantized::Simd;
+pub use quantized::{RoundedRows, Simd};
 
 use crate::error::SearchError;
 use crate::kmeans::KMeans;

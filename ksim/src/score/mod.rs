@@ -7,7 +7,7 @@ mod reference;
 mod report;
 
 pub use approximation::ApproximationError;
-pub use params::{KSimParams, Search};
+pub use params::{KSimParams, Prepared, Search};
 pub use reference::Reference;
 pub use report::{Aggregate, EpisodeScore, Report, StepScore};
 
@@ -102,7 +102,7 @@ impl KSim {
     /// As [`KSimParams::fit`].
     pub fn with_params(&self, params: KSimParams) -> Result<Self, ScoreError> {
         params.check()?;
-        let index = params.build_index(&self.reference, None)?;
+        let index = params.build_index(&self.reference, Prepared::default())?;
         Ok(Self {
             reference: self.reference.clone(),
             index,

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::{KSim, Reference};
 use crate::error::ScoreError;
 use crate::kmeans::{KMeans, KMeansParams};
-use crate::neighbors::{Blocked, Clusters, KdTree, Linear, NeighborIndex};
+use crate::neighbors::{Blocked, Clusters, KdTree, Linear, NeighborIndex, RoundedRows};
 use crate::trajectories::Trajectories;
 
 /// Which engine finds the nearest states.
@@ -69,6 +69,15 @@ impl FromStr for Search {
                 )
             })
     }
+}
+
+/// What a search would compute from the states, computed before. What is not given is computed.
+#[derive(Debug, Default)]
+pub struct Prepared {
+    /// Clusters fitted to the states, for [`Search::Clusters`].
+    pub clusters: Option<KMeans>,
+    /// The states as [`Blocked::rounded`] gives them, or, for [`Search::Clusters`], [`Clusters::rounded`].
+    pub rounded: Option<RoundedRows>,
 }
 
 /// How to score: setters only store, [`fit`](Self::fit) checks.
@@ -151,22 +160,22 @@ impl KSimParams {
     /// object to.
     pub fn fit(self, reference: Trajectories) -> Result<KSim, ScoreError> {
         self.check()?;
-        self.fit_prepared(Reference::new(reference)?, None)
+        self.fit_prepared(Reference::new(reference)?, Prepared::default())
     }
 
-    /// Builds the search over a reference that is normalized already; `kmeans`, if given, was fitted
-    /// to its states and takes the place of the fit that [`Search::Clusters`] would make.
+    /// Builds the search over a reference that is normalized already, from what was prepared for its
+    /// states.
     ///
     /// # Errors
-    /// As [`fit`](Self::fit); [`KMeansError::OtherRows`](crate::KMeansError::OtherRows) for clusters of
-    /// other data.
+    /// As [`fit`](Self::fit); [`KMeansError::OtherRows`](crate::KMeansError::OtherRows) and
+    /// [`SearchError::RoundedRows`](crate::SearchError::RoundedRows) for what was prepared for other data.
     pub fn fit_prepared(
         self,
         reference: Reference,
-        kmeans: Option<KMeans>,
+        prepared: Prepared,
     ) -> Result<KSim, ScoreError> {
         self.check()?;
-        let index = self.build_index(&reference, kmeans)?;
+        let index = self.build_index(&reference, prepared)?;
         Ok(KSim {
             reference,
             index,
@@ -187,7 +196,7 @@ impl KSimParams {
     pub(super) fn build_index(
         &self,
         reference: &Reference,
-        kmeans: Option<KMeans>,
+        prepared: Prepared,
     ) -> Result<Box<dyn NeighborIndex>, ScoreError> {
         let states = Arc::clone(&reference.states);
         let tree = states.n_features() <= KdTree::MAX_FEATURES;
@@ -195,16 +204,22 @@ impl KSimParams {
             Search::Linear => Box::new(Linear::new(states)),
             Search::Auto if tree => Box::new(KdTree::new(states)?),
             Search::KdTree => Box::new(KdTree::new(states)?),
-            Search::Auto | Search::Blocked => Box::new(Blocked::new(states)),
+            Search::Auto | Search::Blocked => match prepared.rounded {
+                Some(rounded) => Box::new(Blocked::from_rounded(states, rounded)?),
+                None => Box::new(Blocked::new(states)),
+            },
             Search::Clusters => {
-                let kmeans = match (kmeans, &self.centers) {
+                let kmeans = match (prepared.clusters, &self.centers) {
                     (Some(kmeans), _) => kmeans.checked_for(&states)?,
                     (None, Some(centers)) => {
                         KMeans::from_centers(centers, states.n_features(), &states)?
                     }
                     (None, None) => self.kmeans.fit(&states)?,
                 };
-                Box::new(Clusters::new(states, kmeans))
+                match prepared.rounded {
+                    Some(rounded) => Box::new(Clusters::from_rounded(states, kmeans, rounded)?),
+                    None => Box::new(Clusters::new(states, kmeans)),
+                }
             }
         })
     }

@@ -107,7 +107,7 @@ impl Reference {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{KMeans, KSim, Search};
+    use crate::{KMeans, KSim, Prepared, Search};
 
     fn walk(n: usize) -> Trajectories {
         let mut data = Trajectories::new(2, 1).unwrap();
@@ -147,7 +147,15 @@ mod tests {
             .n_neighbors(7);
         let own = params.clone().fit(walk(50)).unwrap();
         let kmeans = own.index().kmeans().unwrap().clone();
-        let prepared = params.fit_prepared(again, Some(kmeans)).unwrap();
+        let prepared = params
+            .fit_prepared(
+                again,
+                Prepared {
+                    clusters: Some(kmeans),
+                    rounded: None,
+                },
+            )
+            .unwrap();
         let rollouts = walk(20);
         assert_eq!(
             own.score(&rollouts).unwrap(),

@@ -66,7 +66,7 @@ impl Debug for Codes {
     }
 }
 
-const LEVELS: usize = 3;
+pub(super) const LEVELS: usize = 3;
 
 /// One block, borrowed.
 #[derive(Debug, Clone, Copy)]

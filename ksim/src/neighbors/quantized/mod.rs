@@ -36,6 +36,7 @@ mod codes;
 mod lanes;
 mod pass;
 mod query;
+mod saved;
 mod scale;
 
 use std::ops::Range;
@@ -44,6 +45,7 @@ use rayon::prelude::*;
 
 pub(crate) use codes::Codes;
 pub use lanes::Simd;
+pub use saved::RoundedRows;
 
 use self::codes::SAMPLED;
 use self::pass::{Batch, Buffers, Sweep};
