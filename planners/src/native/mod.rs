@@ -17,6 +17,7 @@ mod norm;
 mod outer;
 mod parameters;
 mod plan;
+mod prefetch;
 mod prepared;
 mod product;
 mod shared;

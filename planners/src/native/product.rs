@@ -10,12 +10,16 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::geometry::Pass;
+use super::prefetch::prefetch;
 
 /// Outputs in a panel of weights.
 pub(super) const PANEL: usize = 16;
 
 /// Rows that are computed together at most: with two vectors each, six fill the registers of AVX2.
 const ROWS: usize = 6;
+
+/// So many inputs before their turn weights are asked for: the processor's own guess ends with every page.
+const AHEAD: usize = 24;
 
 /// Panels for `outputs`.
 pub(super) fn n_panels(outputs: usize) -> usize {
@@ -247,6 +251,7 @@ fn accumulate<S: Simd, const N: usize, const VECTORS: usize>(
     }
     let mut local = *sums;
     for c in 0..depth {
+        prefetch(weights, c + AHEAD);
         let weight = weights[c];
         for i in 0..N {
             let value = simd.splat_f32s(rows[i][c]);
