@@ -1,9 +1,9 @@
 //! Networks by our own kernels: inference, gradients by the input, and training, in f32 on the CPU.
 //!
 //! Samples go through a network in chunks, which are what threads share out. In a chunk activations lie as
-//! `[position][sample][channel]`: see [`product`]. Every number is summed in an order that depends neither on the
+//! `[position][sample][channel]`: see module `product`. Every number is summed in an order that depends neither on the
 //! samples beside it nor on the number of threads, and gradients by weights are added chunk by chunk. Only whether a
-//! call has fewer than four windows makes a difference, in the last digits: see [`winograd`].
+//! call has fewer than four windows makes a difference, in the last digits: see module `winograd`.
 
 mod adam;
 mod aligned;
