@@ -194,10 +194,9 @@ mod tests {
         };
         // The first state of the second walk, rows 4 to 6; where it is later does not matter.
         let first = play(&demonstrations.observations[8..10]);
-        assert_eq!(
-            (first.actions, first.novelties),
-            (vec![4.0, 5.0, 6.0], vec![0.0])
-        );
+        assert_eq!(first.actions, [4.0, 5.0, 6.0]);
+        // The state itself, up to the rounding of its normalization.
+        assert!(first.novelties[0] < 1e-12, "{:?}", first.novelties);
         assert_eq!(play(&[0.0, 0.0]).actions, [6.0, 6.0, 6.0]);
     }
 }
