@@ -131,8 +131,11 @@ impl Network for TorchTrainable {
 impl TrainableNetwork for TorchTrainable {
     fn backward(&mut self, cotangent: &[f32]) -> Result<f64, PlannerError> {
         self.gradient = None;
+        // A refused cotangent leaves what was kept.
+        if let Some(kept) = &self.kept {
+            check_length("cotangent", kept.out.numel(), cotangent.len())?;
+        }
         let kept = self.kept.take().ok_or(no_forward("backward"))?;
-        check_length("cotangent", kept.out.numel(), cotangent.len())?;
         let (session, weights) = (&self.session, &self.parameters.weights);
         let (gradient, norm) = session.run(|| {
             let gradient = of_weighted_sum(session, &kept.out, cotangent, weights)?;
