@@ -345,6 +345,7 @@ impl QuerySet {
 fn params(plan: &SearchPlan) -> KSimParams {
     KSim::params()
         .n_neighbors(plan.n_neighbors)
+        .n_queries(plan.n_queries)
         .n_resamples(0)
         .seed(plan.seed)
 }

@@ -221,8 +221,15 @@ fn fit(inputs: &Inputs, job: &Job, context: &Context) -> Result<Fitted> {
     };
     let progress = context.spinner(working.to_owned());
     let given = centers.as_ref().map(|centers| centers.values.clone());
-    let ksim = settings
-        .params(given)
+    let n_steps = inputs
+        .rollouts
+        .iter()
+        .map(|file| file.source.info().n_steps);
+    let mut params = settings.params(given);
+    if let Some(n_steps) = n_steps.sum::<Option<u64>>() {
+        params = params.n_queries(usize::try_from(n_steps)?);
+    }
+    let ksim = params
         .fit_prepared(reference, loaded.prepared)
         .with_context(|| info.path.display().to_string())?;
     let exact = settings

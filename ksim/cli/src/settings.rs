@@ -110,7 +110,7 @@ pub(crate) struct SearchArgs {
 /// A search as the command line has it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum SearchName {
-    /// An exact one, chosen by the number of state columns
+    /// An exact one, the cheapest by what the job is expected to cost
     Auto,
     /// Exact: compares with every row; slow, for checking
     Linear,

@@ -7,13 +7,17 @@ use std::sync::Arc;
 use super::{KSim, Reference};
 use crate::error::ScoreError;
 use crate::kmeans::{KMeans, KMeansParams};
-use crate::neighbors::{Blocked, Clusters, KdTree, Linear, NeighborIndex, RoundedRows};
+use crate::matrix::Matrix;
+use crate::neighbors::{
+    Blocked, Clusters, Exact, KdTree, Linear, NeighborIndex, RoundedRows, Workload,
+};
 use crate::trajectories::Trajectories;
 
 /// Which engine finds the nearest states.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Search {
-    /// An exact engine chosen by width: `kd-tree` up to 8 state columns, `blocked` above.
+    /// The exact engine that a cost model expects to take least, by rows, columns and the number of
+    /// queries ([`KSimParams::n_queries`]); answers do not depend on the choice.
     #[default]
     Auto,
     /// Exact: every row in f64. The oracle.
@@ -91,6 +95,7 @@ pub struct KSimParams {
     pub(super) n_resamples: usize,
     pub(super) seed: u64,
     search: Search,
+    n_queries: usize,
     kmeans: KMeansParams,
     centers: Option<Vec<f64>>,
 }
@@ -103,6 +108,7 @@ impl Default for KSimParams {
             n_resamples: 2000,
             seed: 0,
             search: Search::Auto,
+            n_queries: 10_000,
             kmeans: KMeans::params(50),
             centers: None,
         }
@@ -125,6 +131,13 @@ impl KSimParams {
     /// Which engine finds the nearest states.
     pub fn search(mut self, search: Search) -> Self {
         self.search = search;
+        self
+    }
+
+    /// About how many steps will be scored, by which [`Search::Auto`] weighs building against asking;
+    /// 10,000 if not said.
+    pub fn n_queries(mut self, n_queries: usize) -> Self {
+        self.n_queries = n_queries;
         self
     }
 
@@ -199,10 +212,8 @@ impl KSimParams {
         prepared: Prepared,
     ) -> Result<Box<dyn NeighborIndex>, ScoreError> {
         let states = Arc::clone(&reference.states);
-        let tree = states.n_features() <= KdTree::MAX_FEATURES;
-        Ok(match self.search {
+        Ok(match self.engine(&states, &prepared) {
             Search::Linear => Box::new(Linear::new(states)),
-            Search::Auto if tree => Box::new(KdTree::new(states)?),
             Search::KdTree => Box::new(KdTree::new(states)?),
             Search::Auto | Search::Blocked => match prepared.rounded {
                 Some(rounded) => Box::new(Blocked::from_rounded(states, rounded)?),
@@ -222,5 +233,23 @@ impl KSimParams {
                 }
             }
         })
+    }
+
+    /// What [`Search::Auto`] stands for; every other choice as it is.
+    fn engine(&self, states: &Matrix, prepared: &Prepared) -> Search {
+        if self.search != Search::Auto {
+            return self.search;
+        }
+        let workload = Workload {
+            n_rows: states.n_rows(),
+            n_features: states.n_features(),
+            n_queries: self.n_queries,
+            is_rounded: prepared.rounded.is_some(),
+        };
+        match workload.cheapest() {
+            Exact::Linear => Search::Linear,
+            Exact::KdTree => Search::KdTree,
+            Exact::Blocked => Search::Blocked,
+        }
     }
 }
