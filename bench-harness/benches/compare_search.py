@@ -88,7 +88,10 @@ class Data:
         self.states = (states - mean) / std
         self.queries = {}
         for path in args.rollouts:
-            rows = np.stack(pq.read_table(path)["observation"].to_numpy(zero_copy_only=False))
+            table = pq.read_table(path)
+            known = ("achieved_goal", "observation", "desired_goal")
+            parts = [f"observation.{part}" for part in known if f"observation.{part}" in table.column_names]
+            rows = np.concatenate([np.stack(table[part].to_numpy(zero_copy_only=False)) for part in parts or ["observation"]], 1)
             name = pathlib.Path(path).stem.rsplit("_", 1)[-1]
             self.queries[name] = ((rows - mean) / std).astype("f4")
 

@@ -172,14 +172,17 @@ fn check(case: &Case) -> usize {
             n_neighbors: n,
             excluded,
         };
-        assert_eq!(
-            blocked.search(&request).unwrap().of(0),
-            expected.of(query),
-            "{}",
-            case.kind
-        );
+        for (name, index) in &engines {
+            let found = index.search(&request).unwrap();
+            assert_eq!(
+                found.of(0),
+                expected.of(query),
+                "{name}, alone: {}",
+                case.kind
+            );
+        }
     }
-    engines.len() * queries.n_rows() + single
+    engines.len() * (queries.n_rows() + single)
 }
 
 fn case(kind: &str, round: usize, noise: &mut Noise) -> Case {

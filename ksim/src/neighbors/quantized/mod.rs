@@ -30,8 +30,10 @@
 //!
 //! Each query looks at those groups of columns first that tell most: its own largest deviations,
 //! as many as it takes to expect rejection. Queries that begin with the same groups form a bucket,
-//! share the −k²/2 of these, and pass over a tile of rows while it is in the first-level cache.
+//! share the −k²/2 of these, and pass over a tile of rows while it is in the first-level cache. A
+//! query on its own reads the rows as they lie in memory, which is what it then waits for.
 
+mod alone;
 mod codes;
 mod lanes;
 mod pass;
@@ -47,6 +49,7 @@ pub(crate) use codes::Codes;
 pub use lanes::Simd;
 pub use saved::RoundedRows;
 
+use self::alone::{Alone, FEW_QUERIES, SweepAlone};
 use self::codes::SAMPLED;
 use self::pass::{Batch, Buffers, Sweep};
 use self::query::Prepared;
@@ -185,9 +188,23 @@ impl Searcher<'_> {
             })
             .collect();
         let part = blocks.len().div_ceil(self.parts).max(1);
+        let sweep = |blocks: Range<usize>, best: &mut [Best]| {
+            if queries.len() > FEW_QUERIES {
+                let batch = Batch::new(prepared, &n_first, self.codes.n_groups());
+                self.sweep_part(blocks, queries, prepared, batch, best);
+                return;
+            }
+            for (at, best) in best.iter_mut().enumerate() {
+                self.sweep_alone(
+                    blocks.clone(),
+                    &queries[at],
+                    (&prepared[at], n_first[at]),
+                    best,
+                );
+            }
+        };
         if part >= blocks.len() {
-            let batch = Batch::new(prepared, &n_first, self.codes.n_groups());
-            self.sweep_part(blocks, queries, prepared, batch, best);
+            sweep(blocks, best);
             return;
         }
         let parts: Vec<Range<usize>> = blocks
@@ -199,8 +216,7 @@ impl Searcher<'_> {
             .into_par_iter()
             .map(|blocks| {
                 let mut best: Vec<Best> = best.iter().map(Best::empty).collect();
-                let batch = Batch::new(prepared, &n_first, self.codes.n_groups());
-                self.sweep_part(blocks, queries, prepared, batch, &mut best);
+                sweep(blocks, &mut best);
                 best
             })
             .collect();
@@ -210,6 +226,47 @@ impl Searcher<'_> {
                 .for_each(|(best, found)| best.merge(found));
         }
         best.iter_mut().for_each(Best::tighten);
+    }
+
+    /// One query over some blocks; of its columns it looks at so many groups first.
+    fn sweep_alone(
+        &self,
+        blocks: Range<usize>,
+        query: &Query<'_>,
+        (prepared, n_first): (&Prepared, usize),
+        best: &mut Best,
+    ) {
+        let alone = Alone::new(prepared, n_first);
+        let mut candidates = Vec::new();
+        for block in blocks {
+            let block = self.codes.block(block);
+            let reach = prepared.reach(
+                best.squared,
+                block.error,
+                block.clipped,
+                self.codes.scale.step,
+            );
+            self.simd.run(SweepAlone {
+                block,
+                query: &alone,
+                limits: [
+                    prepared.limit(n_first, reach),
+                    prepared.limit(prepared.groups.len(), reach),
+                ],
+                candidates: &mut candidates,
+            });
+            self.take(&mut candidates, query, best);
+        }
+    }
+
+    /// Ranks what the first pass left of a block.
+    fn take(&self, candidates: &mut Vec<u32>, query: &Query<'_>, best: &mut Best) {
+        for row in candidates.drain(..) {
+            if !query.excluded.contains(&(row as usize)) {
+                best.push(self.data.squared_distance(row as usize, query.values), row);
+            }
+        }
+        best.tighten();
     }
 
     fn sweep_part(
@@ -257,12 +314,7 @@ impl Searcher<'_> {
                     continue;
                 }
                 let (query, best) = (&queries[number as usize], &mut best[number as usize]);
-                for row in candidates.drain(..) {
-                    if !query.excluded.contains(&(row as usize)) {
-                        best.push(self.data.squared_distance(row as usize, query.values), row);
-                    }
-                }
-                best.tighten();
+                self.take(candidates, query, best);
             }
         }
     }

@@ -4,7 +4,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Lanes, Operation, PAIR_BYTES, STRIP_ROWS, VECTORS};
+use super::{Lanes, Operation, PAIR_BYTES, STRIP_ROWS, StripStep, VECTORS};
 
 /// Proof that the machine has AVX2.
 #[derive(Debug, Clone, Copy)]
@@ -109,6 +109,32 @@ impl Lanes for Avx2 {
             let passed = !_mm256_movemask_epi8(bytes).cast_unsigned();
             passed & 0xFF | passed >> 8 & 0xFF00
         }
+    }
+
+    #[inline(always)]
+    fn prefetch(self, codes: &[i8; PAIR_BYTES]) {
+        // SAFETY: a hint that every x86-64 takes, of an address that is valid.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(codes.as_ptr()) }
+    }
+
+    #[inline(always)]
+    fn strip_at_least(self, strip: &[[i8; PAIR_BYTES]], steps: &[StripStep], limit: i16) -> u32 {
+        let mut sum = self.splat(0);
+        for step in steps {
+            let codes = strip[step.pair].as_ptr();
+            // SAFETY: AVX2 was detected; 32 bytes lie behind the pointer, of any alignment.
+            unsafe {
+                let codes = _mm256_loadu_si256(codes.cast());
+                let magnitudes = _mm256_abs_epi8(codes);
+                let norms = _mm256_maddubs_epi16(magnitudes, magnitudes);
+                let signs = _mm256_set1_epi32(step.signs.cast_signed());
+                let query = _mm256_set1_epi32(step.magnitudes.cast_signed());
+                let products = _mm256_maddubs_epi16(query, _mm256_sign_epi8(codes, signs));
+                sum = _mm256_subs_epi16(sum, _mm256_srli_epi16::<1>(norms));
+                sum = _mm256_adds_epi16(sum, products);
+            }
+        }
+        self.at_least(sum, self.splat(limit))
     }
 
     #[inline(always)]

@@ -4,18 +4,20 @@
 
 use std::arch::x86_64::*;
 
-use super::{Lanes, Operation, PAIR_BYTES, STRIP_ROWS, VECTORS};
+use super::avx2::Avx2;
+use super::{Lanes, Operation, PAIR_BYTES, STRIP_ROWS, StripStep, VECTORS};
 
 /// Proof that the machine has AVX-512 F and BW, and AVX2.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Avx512(());
+pub(super) struct Avx512 {
+    avx2: Avx2,
+}
 
 impl Avx512 {
     pub(super) fn detect() -> Option<Self> {
-        (is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx512bw")
-            && is_x86_feature_detected!("avx2"))
-        .then_some(Self(()))
+        let avx2 = Avx2::detect()?;
+        (is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw"))
+            .then_some(Self { avx2 })
     }
 
     pub(super) fn run<O: Operation>(self, operation: O) -> O::Output {
@@ -100,6 +102,17 @@ impl Lanes for Avx512 {
     fn at_least(self, sum: __m512i, limit: __m512i) -> u32 {
         // SAFETY: AVX-512 was detected.
         unsafe { _mm512_cmpge_epi16_mask(sum, limit) }
+    }
+
+    #[inline(always)]
+    fn prefetch(self, codes: &[i8; PAIR_BYTES]) {
+        self.avx2.prefetch(codes);
+    }
+
+    #[inline(always)]
+    fn strip_at_least(self, strip: &[[i8; PAIR_BYTES]], steps: &[StripStep], limit: i16) -> u32 {
+        // A strip fills half a vector of this unit.
+        self.avx2.strip_at_least(strip, steps, limit)
     }
 
     #[inline(always)]

@@ -20,6 +20,35 @@ pub(super) const VECTORS: usize = 8;
 /// Bytes that [`Lanes::flip`] copies, and rows that [`Lanes::norms`] takes at a time: a strip's.
 pub(super) const PAIR_BYTES: usize = 2 * STRIP_ROWS;
 
+/// One pair of columns of a query, for [`Lanes::strip_at_least`].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct StripStep {
+    /// Which pair of a strip.
+    pub(super) pair: usize,
+    /// Both magnitudes, at most 127, twice.
+    magnitudes: u32,
+    /// Both signs, bytes of 1 or −1, twice.
+    signs: u32,
+}
+
+impl StripStep {
+    /// `magnitudes` holds both twice; a bit of `negative` is set for each that is negative.
+    pub(super) fn new(pair: usize, magnitudes: u32, negative: u8) -> Self {
+        let sign = |bit: u8| if negative >> bit & 1 == 1 { 0xFF } else { 1 };
+        Self {
+            pair,
+            magnitudes,
+            signs: (sign(0) | sign(1) << 8) * 0x0001_0001,
+        }
+    }
+
+    /// The two values.
+    fn values(&self) -> [i16; 2] {
+        let (magnitudes, signs) = (self.magnitudes.to_le_bytes(), self.signs.to_le_bytes());
+        std::array::from_fn(|at| i16::from(magnitudes[at]) * i16::from(signs[at].cast_signed()))
+    }
+}
+
 /// Vectors of 16-bit integers, one lane to a row.
 pub(super) trait Lanes: Copy {
     /// Rows in a vector, at most 32.
@@ -53,6 +82,32 @@ pub(super) trait Lanes: Copy {
 
     /// Two bits for every vector, at least one of them set where a lane is at least `limit`.
     fn any_at_least(self, sums: &[Self::Vector; VECTORS], limit: Self::Vector) -> u32;
+
+    /// Asks for the cache line of `codes` ahead of its use, where the machine can.
+    #[inline(always)]
+    fn prefetch(self, codes: &[i8; PAIR_BYTES]) {
+        let _ = codes;
+    }
+
+    /// A bit for every row of a strip whose sum over the pairs of `steps` is at least `limit`: pair by
+    /// pair, saturating, ⌊(a² + b²)/2⌋ is taken away, then the product with the query added.
+    #[inline(always)]
+    fn strip_at_least(self, strip: &[[i8; PAIR_BYTES]], steps: &[StripStep], limit: i16) -> u32 {
+        let mut sums = [0i16; STRIP_ROWS];
+        for step in steps {
+            let [p, q] = step.values();
+            let (codes, _) = strip[step.pair].as_chunks::<2>();
+            for (sum, codes) in sums.iter_mut().zip(codes) {
+                let [a, b] = codes.map(i16::from);
+                *sum = sum.saturating_sub((a * a + b * b) >> 1);
+                *sum = sum.saturating_add(a * p + b * q);
+            }
+        }
+        let bits = sums.iter().enumerate();
+        bits.fold(0, |bits, (lane, &sum)| {
+            bits | u32::from(sum >= limit) << lane
+        })
+    }
 }
 
 /// Code that is compiled for each vector unit.
@@ -150,6 +205,7 @@ mod tests {
         query: u32,
         flips: u32,
         limit: i16,
+        steps: Vec<StripStep>,
     }
 
     #[derive(Debug, PartialEq)]
@@ -162,6 +218,8 @@ mod tests {
         any: Vec<bool>,
         flipped: Vec<i8>,
         norms: Vec<i16>,
+        /// Per strip of two pairs, the rows at the limit.
+        strips: Vec<u32>,
     }
 
     impl Operation for Probe<'_> {
@@ -174,6 +232,7 @@ mod tests {
                 any: Vec::new(),
                 flipped: vec![0; self.rows.len()],
                 norms: vec![0; self.rows.len() / 4],
+                strips: Vec::new(),
             };
             let pairs = self.rows.as_chunks::<PAIR_BYTES>().0;
             let flipped = seen.flipped.as_chunks_mut::<PAIR_BYTES>().0;
@@ -183,6 +242,10 @@ mod tests {
             let norms = seen.norms.as_chunks_mut::<STRIP_ROWS>().0;
             for (codes, out) in pairs.as_chunks::<2>().0.iter().zip(norms) {
                 lanes.norms(codes, out);
+            }
+            for strip in pairs.chunks_exact(2) {
+                let bits = lanes.strip_at_least(strip, &self.steps, self.limit);
+                seen.strips.push(bits);
             }
             let limit = lanes.splat(self.limit);
             let mut by_vector = Vec::new();
@@ -282,7 +345,25 @@ mod tests {
                 let square = |at: usize| i16::from(rows[at]) * i16::from(rows[at]);
                 (square(at) + square(at + 1)) / 2
             };
+            let steps: Vec<StripStep> = (0..2)
+                .map(|pair| StripStep::new(pair, query.rotate_left(8 * pair as u32), signs as u8))
+                .collect();
+            let strip = |at: usize, lane: usize| {
+                steps.iter().fold(0i16, |sum, step| {
+                    let [p, q] = step.values();
+                    let place = at * 64 + step.pair * 32 + lane * 2;
+                    let (a, b) = (i16::from(rows[place]), i16::from(rows[place + 1]));
+                    sum.saturating_sub((a * a + b * b) / 2)
+                        .saturating_add(a * p + b * q)
+                })
+            };
+            let strips = (0..2 * ROWS / 64).map(|at| {
+                (0..16).fold(0, |bits, lane| {
+                    bits | u32::from(strip(at, lane) >= limit) << lane
+                })
+            });
             let seen = Seen {
+                strips: strips.collect(),
                 flipped: rows.iter().enumerate().map(negate).collect(),
                 norms: (0..ROWS / 2)
                     .map(|row| -half(row, 0) - half(row, 1))
@@ -298,6 +379,7 @@ mod tests {
                     query,
                     flips,
                     limit,
+                    steps: steps.clone(),
                 };
                 assert_eq!(simd.run(probe), seen, "{simd:?}, round {round}");
             }
