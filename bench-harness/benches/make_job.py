@@ -17,6 +17,7 @@ import shutil
 import h5py
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 JITTER = 0.01
@@ -64,13 +65,15 @@ def reference(minari, out, rows):
 def rollouts(paths, out, steps):
     rng = np.random.default_rng(1)
     parts, done, offset, copy = [], 0, 0, 0
-    tables = [pq.read_table(path) for path in paths]
+    # Without the rows of last observations, which no action follows.
+    tables = [pq.read_table(path, filters=pc.field("action").is_valid()) for path in paths]
     while done < steps:
         for table in tables:
             number = "episode_index" if "episode_index" in table.column_names else "episode_id"
             episodes = table[number].to_numpy()
             columns = {"episode_index": pa.array(episodes + offset)}
-            for name in ("observation", "action"):
+            states = [name for name in table.column_names if name.split(".")[0] == "observation"]
+            for name in [*states, "action"]:
                 values = np.stack(table[name].to_numpy(zero_copy_only=False)).astype("f4")
                 if copy:
                     values += (rng.normal(0, JITTER, values.shape) * values.std(0)).astype("f4")

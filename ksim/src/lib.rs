@@ -34,6 +34,7 @@ mod kmeans;
 mod matrix;
 mod neighbors;
 mod normalizer;
+mod prefetch;
 mod rng;
 mod score;
 mod tiles;

@@ -7,6 +7,7 @@
 
 use crate::buffer::Buffer;
 use crate::error::DataError;
+use crate::prefetch::prefetch;
 
 /// Borrowed row-major `f64` values of shape `(n_rows, n_features)`, all finite.
 #[derive(Debug, Clone, Copy)]
@@ -226,6 +227,40 @@ impl Matrix {
         match self.low.get(range) {
             Some(low) => sum_of_squares(query, |i| f64::from(high[i]) + f64::from(low[i])),
             None => sum_of_squares(query, |i| f64::from(high[i])),
+        }
+    }
+
+    /// `visit(position, squared distance)` for listed rows, which may lie anywhere: those to come are
+    /// asked for ahead of their use.
+    ///
+    /// # Panics
+    /// If a row is out of range.
+    pub(crate) fn each_squared_distance(
+        &self,
+        rows: impl ExactSizeIterator<Item = u32> + Clone,
+        query: &[f64],
+        mut visit: impl FnMut(usize, f64),
+    ) {
+        /// The work on so many rows takes about as long as memory does.
+        const AHEAD: usize = 6;
+        let mut later = rows.clone().skip(AHEAD);
+        rows.clone().take(AHEAD).for_each(|row| self.prefetch(row));
+        for (at, row) in rows.enumerate() {
+            if let Some(later) = later.next() {
+                self.prefetch(later);
+            }
+            visit(at, self.squared_distance(row as usize, query));
+        }
+    }
+
+    fn prefetch(&self, row: u32) {
+        /// f32 values of a cache line.
+        const LINE: usize = 16;
+        let range = row as usize * self.n_features..(row as usize + 1) * self.n_features;
+        for plane in [&self.high, &self.low] {
+            let values = plane.get(range.clone()).unwrap_or_default();
+            values.iter().step_by(LINE).for_each(prefetch);
+            values.last().into_iter().for_each(prefetch);
         }
     }
 

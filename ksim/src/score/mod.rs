@@ -285,16 +285,14 @@ impl KSim {
     ) -> Option<(Neighbor, f64)> {
         let action = block.action(query);
         let mut best: Option<(Neighbor, f64)> = None;
+        let rows = candidates.iter().map(|candidate| candidate.row);
+        let actions = &self.reference.actions;
         // Candidates come by ascending state distance, then row: the first of equals stays.
-        for &candidate in candidates {
-            let squared = self
-                .reference
-                .actions
-                .squared_distance(candidate.row as usize, action);
+        actions.each_squared_distance(rows, action, |at, squared| {
             if best.is_none_or(|(_, least)| squared < least) {
-                best = Some((candidate, squared));
+                best = Some((candidates[at], squared));
             }
-        }
+        });
         best
     }
 }

@@ -4,6 +4,7 @@
 use super::codes::{Block, NO_ROW, STRIP_ROWS};
 use super::lanes::{Lanes, Operation, PAIR_BYTES, StripStep};
 use super::query::Prepared;
+use crate::prefetch::prefetch;
 
 /// So many queries are asked one by one. More are cheaper together.
 pub(super) const FEW_QUERIES: usize = 3;
@@ -63,7 +64,7 @@ impl Operation for SweepAlone<'_> {
             if let Some(later) = strips.get((number + AHEAD) * strip_pairs..) {
                 // A group of two pairs is a cache line.
                 for step in query.first.iter().step_by(2) {
-                    later.get(step.pair).inspect(|codes| lanes.prefetch(codes));
+                    later.get(step.pair).inspect(|codes| prefetch(*codes));
                 }
             }
             if lanes.strip_at_least(strip, &query.first, self.limits[0]) == 0 {

@@ -261,11 +261,13 @@ impl Searcher<'_> {
 
     /// Ranks what the first pass left of a block.
     fn take(&self, candidates: &mut Vec<u32>, query: &Query<'_>, best: &mut Best) {
-        for row in candidates.drain(..) {
-            if !query.excluded.contains(&(row as usize)) {
-                best.push(self.data.squared_distance(row as usize, query.values), row);
-            }
-        }
+        candidates.retain(|row| !query.excluded.contains(&(*row as usize)));
+        let rows = candidates.iter().copied();
+        self.data
+            .each_squared_distance(rows, query.values, |at, squared| {
+                best.push(squared, candidates[at]);
+            });
+        candidates.clear();
         best.tighten();
     }
 

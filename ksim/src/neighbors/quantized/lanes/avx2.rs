@@ -112,12 +112,6 @@ impl Lanes for Avx2 {
     }
 
     #[inline(always)]
-    fn prefetch(self, codes: &[i8; PAIR_BYTES]) {
-        // SAFETY: a hint that every x86-64 takes, of an address that is valid.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(codes.as_ptr()) }
-    }
-
-    #[inline(always)]
     fn strip_at_least(self, strip: &[[i8; PAIR_BYTES]], steps: &[StripStep], limit: i16) -> u32 {
         let mut sum = self.splat(0);
         for step in steps {

@@ -105,11 +105,6 @@ impl Lanes for Avx512 {
     }
 
     #[inline(always)]
-    fn prefetch(self, codes: &[i8; PAIR_BYTES]) {
-        self.avx2.prefetch(codes);
-    }
-
-    #[inline(always)]
     fn strip_at_least(self, strip: &[[i8; PAIR_BYTES]], steps: &[StripStep], limit: i16) -> u32 {
         // A strip fills half a vector of this unit.
         self.avx2.strip_at_least(strip, steps, limit)

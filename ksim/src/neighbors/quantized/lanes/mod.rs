@@ -83,12 +83,6 @@ pub(super) trait Lanes: Copy {
     /// Two bits for every vector, at least one of them set where a lane is at least `limit`.
     fn any_at_least(self, sums: &[Self::Vector; VECTORS], limit: Self::Vector) -> u32;
 
-    /// Asks for the cache line of `codes` ahead of its use, where the machine can.
-    #[inline(always)]
-    fn prefetch(self, codes: &[i8; PAIR_BYTES]) {
-        let _ = codes;
-    }
-
     /// A bit for every row of a strip whose sum over the pairs of `steps` is at least `limit`: pair by
     /// pair, saturating, ⌊(a² + b²)/2⌋ is taken away, then the product with the query added.
     #[inline(always)]
