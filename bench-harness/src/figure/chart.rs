@@ -2,6 +2,7 @@
 
 use svg::node::element::{Circle, Group, Line, Path};
 
+use super::curve::{Point, Scale};
 use super::scale::ticks;
 use super::{px, text};
 
@@ -9,7 +10,8 @@ use super::{px, text};
 const LEFT: f64 = 58.0;
 const TOP: f64 = 34.0;
 const BOTTOM: f64 = 40.0;
-/// Room right of the lines, for their names.
+/// Room right of the lines, and for their names if they have some.
+const RIGHT: f64 = 18.0;
 const NAMES: f64 = 150.0;
 /// Pixels between two names, at least.
 const NAME_STEP: f64 = 12.0;
@@ -22,36 +24,43 @@ const COLORS: [&str; 7] = [
 /// A line.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Series {
+    /// What it is; empty if its panel says so.
     pub(super) name: String,
     /// Which color; lines that belong together share one.
     pub(super) color: usize,
-    pub(super) dashed: bool,
+    pub(super) stroke: Stroke,
     pub(super) points: Vec<Point>,
 }
 
-/// A place on a line.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Point {
-    pub(super) x: f64,
-    pub(super) y: f64,
-    pub(super) interval: Option<[f64; 2]>,
+/// How a line is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Stroke {
+    Plain,
+    /// With a dot at every point.
+    Dotted,
+    Dashed,
 }
 
-/// How numbers lie on an axis.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Spacing {
-    Linear,
-    /// Positive numbers only; others are not drawn.
-    Logarithmic,
+/// What lies from left to right.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Across {
+    Numbers {
+        scale: Scale,
+        /// What the axis holds beside the points.
+        ends: Option<[f64; 2]>,
+    },
+    /// Equal steps with a name each; x counts from 0.
+    Names(Vec<String>),
 }
 
 /// A panel.
 #[derive(Debug, Clone)]
 pub(super) struct Chart {
     pub(super) title: String,
-    pub(super) x_label: &'static str,
+    pub(super) x_label: String,
+    pub(super) across: Across,
     pub(super) y_label: &'static str,
-    pub(super) y_spacing: Spacing,
+    pub(super) y_scale: Scale,
     pub(super) series: Vec<Series>,
     /// Pixels of the part with the lines.
     pub(super) size: [f64; 2],
@@ -59,30 +68,31 @@ pub(super) struct Chart {
 
 /// An axis with its range in pixels.
 struct Axis {
-    spacing: Spacing,
+    scale: Scale,
     low: f64,
     high: f64,
     pixels: [f64; 2],
 }
 
 impl Axis {
-    fn new(spacing: Spacing, values: impl Iterator<Item = f64>, pixels: [f64; 2]) -> Self {
-        let fits = |v: &f64| v.is_finite() && (spacing == Spacing::Linear || *v > 0.0);
+    /// Of numbers that it is to hold; what has no place on it does not count.
+    fn new(scale: Scale, values: impl Iterator<Item = f64>, pixels: [f64; 2]) -> Self {
+        let fits = |v: &f64| scale.holds(*v);
         let (low, high) = values
             .filter(fits)
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
                 (low.min(v), high.max(v))
             });
-        let (low, high) = match (low <= high, spacing) {
+        let (low, high) = match (low <= high, scale) {
             (false, _) => (1.0, 10.0),
-            (true, Spacing::Logarithmic) => (low / 1.25, high * 1.25),
-            (true, Spacing::Linear) => {
+            (true, Scale::Logarithmic) => (low / 1.25, high * 1.25),
+            (true, Scale::Linear) => {
                 let margin = ((high - low) * 0.06).max(high.abs().max(1.0) * 1e-3);
                 (low - margin, high + margin)
             }
         };
         Self {
-            spacing,
+            scale,
             low,
             high,
             pixels,
@@ -90,9 +100,9 @@ impl Axis {
     }
 
     fn at(&self, value: f64) -> Option<f64> {
-        let place = |v: f64| match self.spacing {
-            Spacing::Linear => v,
-            Spacing::Logarithmic => v.ln(),
+        let place = |v: f64| match self.scale {
+            Scale::Linear => v,
+            Scale::Logarithmic => v.ln(),
         };
         let share = (place(value) - place(self.low)) / (place(self.high) - place(self.low));
         let at = self.pixels[0] + share * (self.pixels[1] - self.pixels[0]);
@@ -101,7 +111,7 @@ impl Axis {
 
     /// Numbers to write, the least and the greatest of which are inside.
     fn ticks(&self) -> Vec<f64> {
-        if self.spacing == Spacing::Linear {
+        if self.scale == Scale::Linear {
             return ticks(self.low, self.high, 5);
         }
         let decades = (self.high / self.low).log10();
@@ -123,7 +133,7 @@ fn number(value: f64) -> String {
     let size = value.abs();
     match value {
         0.0 => "0".to_owned(),
-        _ if !(1e-3..1e4).contains(&size) => {
+        _ if !(1e-3..1e5).contains(&size) => {
             let power = size.log10().floor() as i32;
             let factor = value / 10f64.powi(power);
             format!("{}e{power}", (factor * 10.0).round() / 10.0)
@@ -135,7 +145,9 @@ fn number(value: f64) -> String {
 impl Chart {
     /// Pixels of the whole panel.
     pub(super) fn outer_size(&self) -> [f64; 2] {
-        [LEFT + self.size[0] + NAMES, TOP + self.size[1] + BOTTOM]
+        let is_named = self.series.iter().any(|series| !series.name.is_empty());
+        let right = if is_named { NAMES } else { RIGHT };
+        [LEFT + self.size[0] + right, TOP + self.size[1] + BOTTOM]
     }
 
     /// The panel, its upper left corner at the origin.
@@ -144,15 +156,28 @@ impl Chart {
         let (right, bottom) = (LEFT + width, TOP + height);
         let points = || self.series.iter().flat_map(|one| &one.points);
         let ys = points().flat_map(|p| [p.y].into_iter().chain(p.interval.into_iter().flatten()));
-        let x = Axis::new(Spacing::Logarithmic, points().map(|p| p.x), [LEFT, right]);
-        let y = Axis::new(self.y_spacing, ys, [bottom, TOP]);
+        let pixels = [LEFT, right];
+        let x = match &self.across {
+            Across::Numbers { scale, ends } => {
+                let xs = points().map(|p| p.x).chain(ends.iter().flatten().copied());
+                Axis::new(*scale, xs, pixels)
+            }
+            Across::Names(names) => Axis {
+                scale: Scale::Linear,
+                low: -0.5,
+                high: names.len().max(1) as f64 - 0.5,
+                pixels,
+            },
+        };
+        let y = Axis::new(self.y_scale, ys, [bottom, TOP]);
         let mut group = Group::new()
             .add(text(&self.title, [LEFT, 18.0], 12.0, "start").set("font-weight", "bold"))
             .add(self.frame(&x, &y));
         let mut names: Vec<(f64, &Series)> = Vec::new();
         for series in &self.series {
             group = group.add(line(series, &x, &y));
-            if let Some(at) = series.points.last().and_then(|last| y.at(last.y)) {
+            let end = series.points.last().and_then(|last| y.at(last.y));
+            if let Some(at) = end.filter(|_| !series.name.is_empty()) {
                 names.push((at, series));
             }
         }
@@ -172,9 +197,13 @@ impl Chart {
         let mut group = Group::new()
             .add(straight([LEFT, bottom], [right, bottom], "#222"))
             .add(straight([LEFT, TOP], [LEFT, bottom], "#222"));
-        for tick in x.ticks() {
-            if let Some(at) = x.at(tick) {
-                let label = text(&number(tick), [at, bottom + 15.0], 10.0, "middle");
+        let marks: Vec<(f64, String)> = match &self.across {
+            Across::Numbers { .. } => x.ticks().into_iter().map(|x| (x, number(x))).collect(),
+            Across::Names(names) => (0..).map(f64::from).zip(names.iter().cloned()).collect(),
+        };
+        for (mark, name) in marks {
+            if let Some(at) = x.at(mark) {
+                let label = text(&name, [at, bottom + 15.0], 10.0, "middle");
                 group = group
                     .add(straight([at, bottom], [at, bottom + 4.0], "#222"))
                     .add(label);
@@ -192,7 +221,7 @@ impl Chart {
         let turn = format!("rotate(-90 14 {turn})");
         let below = [f64::midpoint(LEFT, right), bottom + 31.0];
         group
-            .add(text(self.x_label, below, 11.0, "middle"))
+            .add(text(&self.x_label, below, 11.0, "middle"))
             .add(text(self.y_label, [14.0, middle], 11.0, "middle").set("transform", turn))
     }
 }
@@ -217,7 +246,7 @@ fn line(series: &Series, x: &Axis, y: &Axis) -> Group {
         {
             group = group.add(straight([left, low], [left, high], color(series)));
         }
-        if !series.dashed {
+        if series.stroke == Stroke::Dotted {
             let disc = Circle::new()
                 .set("cx", px(left))
                 .set("cy", px(top))
@@ -229,8 +258,9 @@ fn line(series: &Series, x: &Axis, y: &Axis) -> Group {
         .set("d", path)
         .set("fill", "none")
         .set("stroke", color(series))
-        .set("stroke-width", 1.6);
-    if series.dashed {
+        .set("stroke-width", 1.6)
+        .set("stroke-linejoin", "round");
+    if series.stroke == Stroke::Dashed {
         stroke = stroke.set("stroke-dasharray", "5 4");
     }
     group.add(stroke)
@@ -251,8 +281,7 @@ mod tests {
 
     #[test]
     fn logarithmic_ticks_are_round_and_inside() {
-        let axis =
-            |values: [f64; 2]| Axis::new(Spacing::Logarithmic, values.into_iter(), [0.0, 1.0]);
+        let axis = |values: [f64; 2]| Axis::new(Scale::Logarithmic, values.into_iter(), [0.0, 1.0]);
         assert_eq!(axis([1e4, 1e7]).ticks(), [1e4, 1e5, 1e6, 1e7]);
         assert_eq!(axis([10.0, 60.0]).ticks(), [10.0, 20.0, 50.0]);
         assert_eq!(axis([5.0, 5.0]).ticks(), [5.0]);
@@ -261,19 +290,19 @@ mod tests {
     #[test]
     fn numbers_are_short() {
         let shown = [0.0, 0.25, 1e-5, 30_000.0, 1e6, 120.0, -0.03].map(number);
-        assert_eq!(shown, ["0", "0.25", "1e-5", "3e4", "1e6", "120", "-0.03"]);
+        assert_eq!(shown, ["0", "0.25", "1e-5", "30000", "1e6", "120", "-0.03"]);
     }
 
     #[test]
     fn what_cannot_be_placed_is_left_out() {
         let axis = Axis::new(
-            Spacing::Logarithmic,
+            Scale::Logarithmic,
             [0.0, 1.0, 10.0].into_iter(),
             [0.0, 100.0],
         );
         assert_eq!(axis.at(0.0), None);
         assert!(axis.at(1.0).unwrap() > 0.0);
-        let nothing = Axis::new(Spacing::Linear, [f64::NAN].into_iter(), [0.0, 100.0]);
+        let nothing = Axis::new(Scale::Linear, [f64::NAN].into_iter(), [0.0, 100.0]);
         assert_eq!(nothing.at(1.0), Some(0.0));
     }
 }

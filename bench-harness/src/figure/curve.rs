@@ -1,21 +1,13 @@
 //! Curves: numbers over updates, or over a setting, one panel below the other.
 
-use svg::Document;
-use svg::node::element::{Circle, Group, Line, Path, Rectangle};
+use svg::node::element::Group;
 
-use super::scale::ticks;
-use super::{px, text};
+use super::chart::{self, Chart, Series, Stroke};
+use super::{document, px};
 
-/// Pixels of a panel's plot, of what surrounds it, and above all panels.
-const WIDTH: f64 = 520.0;
-const HEIGHT: f64 = 150.0;
-const LEFT: f64 = 76.0;
-const RIGHT: f64 = 18.0;
-const TOP: f64 = 24.0;
-const BOTTOM: f64 = 40.0;
-const HEAD: f64 = 30.0;
-/// Dark blue, for the curve.
-const COLOR: &str = "#1f4e79";
+/// Pixels of a panel's plot, and above all panels.
+const SIZE: [f64; 2] = [520.0, 150.0];
+const HEAD: f64 = 26.0;
 
 /// How a quantity lies along its axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,6 +16,13 @@ pub enum Scale {
     Linear,
     /// Equal distances are equal factors; all numbers must be above 0.
     Logarithmic,
+}
+
+impl Scale {
+    /// Whether a number has a place on it.
+    pub(super) fn holds(self, value: f64) -> bool {
+        value.is_finite() && (self == Self::Linear || value > 0.0)
+    }
 }
 
 /// Where the points of all panels lie from left to right.
@@ -92,40 +91,62 @@ pub fn draw(
     for curve in curves {
         check(curve)?;
     }
-    let x_axis = Axis::across(across, curves);
-    let panel_height = TOP + HEIGHT + BOTTOM;
-    let size = [
-        LEFT + WIDTH + RIGHT,
-        HEAD + panel_height * curves.len() as f64,
-    ];
-    let mut document = Document::new()
-        .set("width", px(size[0]))
-        .set("height", px(size[1]))
-        .set("viewBox", (0, 0, px(size[0]), px(size[1])))
-        .set("font-family", "sans-serif")
-        .add(
-            Rectangle::new()
-                .set("width", px(size[0]))
-                .set("height", px(size[1]))
-                .set("fill", "#fff"),
-        )
-        .add(text(heading, [10.0, 20.0], 14.0, "start"));
-    for (number, curve) in curves.iter().enumerate() {
-        let y = HEAD + panel_height * number as f64;
-        let panel = panel(curve, &x_axis, across, x_label);
-        document = document.add(panel.set("transform", format!("translate(0 {})", px(y))));
+    let xs = curves.iter().flat_map(|curve| &curve.points).map(|p| p.x);
+    let across = match across {
+        Across::Numbers => chart::Across::Numbers {
+            scale: Scale::Linear,
+            // All panels have the same.
+            ends: Some([
+                xs.clone().fold(f64::INFINITY, f64::min),
+                xs.fold(f64::NEG_INFINITY, f64::max),
+            ]),
+        },
+        Across::Names(names) => chart::Across::Names(names.to_vec()),
+    };
+    let charts: Vec<Chart> = curves
+        .iter()
+        .map(|curve| chart(curve, &across, x_label))
+        .collect();
+    let [width, panel_height] = charts[0].outer_size();
+    let mut panels = Group::new();
+    for (place, chart) in charts.iter().enumerate() {
+        let at = format!("translate(0 {})", px(HEAD + panel_height * place as f64));
+        panels = panels.add(chart.draw().set("transform", at));
     }
+    let height = HEAD + panel_height * charts.len() as f64;
+    let document = document([width, height], heading).add(panels);
     Ok(format!("{document}\n"))
 }
 
+/// A panel of one curve.
+fn chart(curve: &Curve, across: &chart::Across, x_label: &str) -> Chart {
+    let stroke = match across {
+        chart::Across::Numbers { .. } => Stroke::Plain,
+        chart::Across::Names(_) => Stroke::Dotted,
+    };
+    Chart {
+        title: curve.title.clone(),
+        x_label: x_label.to_owned(),
+        across: across.clone(),
+        y_label: "",
+        y_scale: curve.scale,
+        series: vec![Series {
+            name: String::new(),
+            color: 0,
+            stroke,
+            points: curve.points.clone(),
+        }],
+        size: SIZE,
+    }
+}
+
 fn check(curve: &Curve) -> Result<(), CurveError> {
-    let fits = |value: f64| value.is_finite() && (curve.scale == Scale::Linear || value > 0.0);
     for (number, point) in curve.points.iter().enumerate() {
         let interval = point.interval.into_iter().flatten();
         let wrong = [point.y]
             .into_iter()
             .chain(interval)
-            .find(|value| !fits(*value));
+            .find(|value| !curve.scale.holds(*value));
         let wrong = wrong.or((!point.x.is_finite()).then_some(point.x));
         if let Some(value) = wrong {
             return Err(CurveError::Value {
@@ -136,167 +157,6 @@ fn check(curve: &Curve) -> Result<(), CurveError> {
         }
     }
     Ok(())
-}
-
-/// A range of numbers along some pixels.
-#[derive(Debug, Clone, Copy)]
-struct Axis {
-    low: f64,
-    high: f64,
-    scale: Scale,
-}
-
-impl Axis {
-    fn new(values: impl Iterator<Item = f64> + Clone, scale: Scale) -> Self {
-        let low = values.clone().fold(f64::INFINITY, f64::min);
-        let high = values.fold(f64::NEG_INFINITY, f64::max);
-        // A curve that does not change lies in the middle.
-        let (low, high) = match (high > low, scale) {
-            (true, _) => (low, high),
-            (false, Scale::Linear) => (low - 0.5, high + 0.5),
-            (false, Scale::Logarithmic) => (low / 2.0, high * 2.0),
-        };
-        Self { low, high, scale }
-    }
-
-    fn across(across: &Across<'_>, curves: &[Curve]) -> Self {
-        match across {
-            Across::Numbers => {
-                let points = curves.iter().flat_map(|curve| &curve.points);
-                Self::new(points.map(|point| point.x), Scale::Linear)
-            }
-            Across::Names(names) => Self {
-                low: -0.5,
-                high: names.len().max(1) as f64 - 0.5,
-                scale: Scale::Linear,
-            },
-        }
-    }
-
-    /// Share of the way from low to high.
-    fn share(&self, value: f64) -> f64 {
-        let of = |value: f64| match self.scale {
-            Scale::Linear => value,
-            Scale::Logarithmic => value.log10(),
-        };
-        (of(value) - of(self.low)) / (of(self.high) - of(self.low))
-    }
-
-    /// Round numbers within.
-    fn ticks(&self) -> Vec<f64> {
-        let powers = || {
-            let first = self.low.log10().ceil() as i32;
-            let last = self.high.log10().floor() as i32;
-            (first..=last)
-                .map(|power| 10f64.powi(power))
-                .collect::<Vec<_>>()
-        };
-        match self.scale {
-            Scale::Logarithmic if powers().len() > 1 => powers(),
-            _ => ticks(self.low, self.high, 4),
-        }
-    }
-}
-
-fn panel(curve: &Curve, x_axis: &Axis, across: &Across<'_>, x_label: &str) -> Group {
-    let values = curve.points.iter().flat_map(|point| {
-        let [low, high] = point.interval.unwrap_or([point.y; 2]);
-        [point.y, low, high]
-    });
-    let y_axis = Axis::new(values, curve.scale);
-    let at = |x: f64, y: f64| {
-        [
-            LEFT + WIDTH * x_axis.share(x),
-            TOP + HEIGHT * (1.0 - y_axis.share(y)),
-        ]
-    };
-    let mut group = Group::new()
-        .add(text(&curve.title, [LEFT, TOP - 8.0], 12.0, "start").set("font-weight", "bold"))
-        .add(frame());
-    for tick in y_axis.ticks() {
-        let [_, y] = at(x_axis.low, tick);
-        group = group
-            .add(line([LEFT, y], [LEFT + WIDTH, y], "#ddd"))
-            .add(text(&number(tick), [LEFT - 6.0, y + 3.5], 10.0, "end"));
-    }
-    let marks: Vec<(f64, String)> = match across {
-        Across::Numbers => x_axis.ticks().into_iter().map(|x| (x, number(x))).collect(),
-        Across::Names(names) => {
-            let names = names.iter().enumerate();
-            names
-                .map(|(place, name)| (place as f64, name.clone()))
-                .collect()
-        }
-    };
-    let bottom = TOP + HEIGHT;
-    for (x, name) in marks {
-        let [x, _] = at(x, y_axis.low);
-        group = group
-            .add(line([x, bottom], [x, bottom + 4.0], "#222"))
-            .add(text(&name, [x, bottom + 15.0], 10.0, "middle"));
-    }
-    group = group.add(text(
-        x_label,
-        [LEFT + WIDTH / 2.0, bottom + 30.0],
-        11.0,
-        "middle",
-    ));
-    group.add(data(curve, at, matches!(across, Across::Names(_))))
-}
-
-fn frame() -> Rectangle {
-    Rectangle::new()
-        .set("x", LEFT)
-        .set("y", TOP)
-        .set("width", WIDTH)
-        .set("height", HEIGHT)
-        .set("fill", "none")
-        .set("stroke", "#222")
-}
-
-fn line([x1, y1]: [f64; 2], [x2, y2]: [f64; 2], color: &str) -> Line {
-    Line::new()
-        .set("x1", px(x1))
-        .set("y1", px(y1))
-        .set("x2", px(x2))
-        .set("y2", px(y2))
-        .set("stroke", color)
-}
-
-/// The curve, with its intervals, and a dot for every point where there are few.
-fn data(curve: &Curve, at: impl Fn(f64, f64) -> [f64; 2], has_dots: bool) -> Group {
-    let mut way = String::new();
-    let mut group = Group::new();
-    for (number, point) in curve.points.iter().enumerate() {
-        let [x, y] = at(point.x, point.y);
-        way += &format!("{}{x:.2} {y:.2}", if number == 0 { "M" } else { "L" });
-        if let Some([low, high]) = point.interval {
-            group = group.add(line(at(point.x, low), at(point.x, high), COLOR));
-        }
-        if has_dots {
-            let dot = Circle::new()
-                .set("cx", px(x))
-                .set("cy", px(y))
-                .set("r", 3.0);
-            group = group.add(dot.set("fill", COLOR));
-        }
-    }
-    let path = Path::new()
-        .set("d", way)
-        .set("fill", "none")
-        .set("stroke", COLOR)
-        .set("stroke-width", 1.6)
-        .set("stroke-linejoin", "round");
-    group.add(path)
-}
-
-/// A number as it is read best.
-fn number(value: f64) -> String {
-    match value.abs() {
-        0.0 => "0".to_owned(),
-        1e-3..1e5 => value.to_string(),
-        _ => format!("{value:e}"),
-    }
 }
 
 #[cfg(test)]
@@ -320,15 +180,15 @@ mod tests {
     fn values_lie_where_their_axis_says() {
         let curves = [curve("loss", Scale::Logarithmic, &[100.0, 10.0, 1.0])];
         let svg = draw("", "update", &Across::Numbers, &curves).unwrap();
-        // Equal factors: top, middle and bottom of the panel.
+        // Equal factors are equal distances.
         assert!(
-            svg.contains("M76.00 24.00L336.00 99.00L596.00 174.00"),
+            svg.contains("M85.86 40.63L318.00 109.00L550.14 177.37"),
             "{svg}"
         );
         let curves = [curve("rate", Scale::Linear, &[0.0, 2.0, 1.0])];
         let svg = draw("", "update", &Across::Numbers, &curves).unwrap();
         assert!(
-            svg.contains("M76.00 174.00L336.00 24.00L596.00 99.00"),
+            svg.contains("M85.86 175.96L318.00 42.04L550.14 109.00"),
             "{svg}"
         );
     }
@@ -344,9 +204,9 @@ mod tests {
             svg.contains("1e3") && svg.contains("K-Sim &lt;1&gt;"),
             "{svg}"
         );
-        // A quarter and three quarters of the width; from the top to the bottom.
+        // At three quarters of the width, almost from the bottom to the top.
         assert!(
-            svg.contains(r#"x1="466" x2="466" y1="174" y2="24""#),
+            svg.contains(r#"x1="448" x2="448" y1="175.96" y2="42.04""#),
             "{svg}"
         );
     }

@@ -4,12 +4,11 @@
 //! the simulator's, with y upward.
 
 use ksim_envs::maze::Maze;
-use svg::Document;
-use svg::node::element::{Circle, Group, Rectangle};
+use svg::node::element::{Circle, Group};
 
 use super::panel::{self, Marker, Panel};
 use super::scale::ColorScale;
-use super::text;
+use super::{document, text};
 
 /// Points of a path that are drawn at most: beyond, only every second, third, … is, and the panel says so.
 const MAX_POINTS: usize = 2_000;
@@ -138,13 +137,7 @@ pub fn draw_by(
     ];
     let bar = scale.bar(width + 4.0, HEAD + frame.bottom(), frame.height());
     let whole = [width.max(MIN_WIDTH) + BAR, HEAD + height + FOOT];
-    let document = Document::new()
-        .set("width", super::px(whole[0]))
-        .set("height", super::px(whole[1]))
-        .set("viewBox", (0, 0, super::px(whole[0]), super::px(whole[1])))
-        .set("font-family", "sans-serif")
-        .add(background(whole))
-        .add(text(heading, [10.0, 20.0], 14.0, "start"))
+    let document = document(whole, heading)
         .add(figure)
         .add(bar)
         .add(legend(HEAD + height + 14.0));
@@ -207,13 +200,6 @@ fn columns(n_panels: usize) -> usize {
     (1..MAX_COLUMNS)
         .find(|n| n * n >= n_panels)
         .unwrap_or(MAX_COLUMNS)
-}
-
-fn background([width, height]: [f64; 2]) -> Rectangle {
-    Rectangle::new()
-        .set("width", super::px(width))
-        .set("height", super::px(height))
-        .set("fill", "#fff")
 }
 
 /// What the markers mean, below the panels.

@@ -1,14 +1,19 @@
 //! Figures of a search bench: time against size, and what clusters cost against their number.
 
-use svg::Document;
-use svg::node::element::{Group, Rectangle};
+use svg::node::element::Group;
 
-use super::chart::{Chart, Point, Series, Spacing};
-use super::{px, text};
+use super::chart::{Across, Chart, Series, Stroke};
+use super::curve::{Point, Scale};
+use super::{document, px};
 use crate::search_bench::{Measurement, SearchReport};
 
 /// Pixels of the part of a panel that has the lines.
 const SIZE: [f64; 2] = [300.0, 210.0];
+/// Rows and clusters are spread over orders of magnitude.
+const COUNTS: Across = Across::Numbers {
+    scale: Scale::Logarithmic,
+    ends: None,
+};
 /// Pixels above the panels.
 const HEAD: f64 = 26.0;
 
@@ -42,18 +47,7 @@ pub fn draw(heading: &str, report: &SearchReport) -> Option<String> {
         let at = format!("translate({} {HEAD})", px(place as f64 * panel_width));
         panels = panels.add(chart.draw().set("transform", at));
     }
-    let background = Rectangle::new()
-        .set("width", px(width))
-        .set("height", px(height))
-        .set("fill", "#fff");
-    let document = Document::new()
-        .set("width", px(width))
-        .set("height", px(height))
-        .set("viewBox", (0, 0, px(width), px(height)))
-        .set("font-family", "sans-serif")
-        .add(background)
-        .add(text(heading, [10.0, 18.0], 14.0, "start"))
-        .add(panels);
+    let document = document([width, height], heading).add(panels);
     Some(format!("{document}\n"))
 }
 
@@ -101,15 +95,16 @@ fn time_over_rows(all: &[Measurement]) -> Chart {
         Series {
             name: format!("{}, {} columns", line.0, line.1),
             color,
-            dashed: false,
+            stroke: Stroke::Dotted,
             points: points.collect(),
         }
     });
     Chart {
         title: format!("{kind}, threads: {threads}"),
-        x_label: "reference rows",
+        x_label: "reference rows".to_owned(),
+        across: COUNTS,
         y_label: "µs per query",
-        y_spacing: Spacing::Logarithmic,
+        y_scale: Scale::Logarithmic,
         series: series.collect(),
         size: SIZE,
     }
@@ -139,7 +134,7 @@ fn over_clusters(shown: &[&Measurement]) -> Vec<Chart> {
             series.push(Series {
                 name: (*kind).to_owned(),
                 color,
-                dashed: false,
+                stroke: Stroke::Dotted,
                 points: own.filter_map(|one| value(one)).collect(),
             });
             if let Some(exact) = exact(kind) {
@@ -152,7 +147,7 @@ fn over_clusters(shown: &[&Measurement]) -> Vec<Chart> {
                 series.push(Series {
                     name: format!("{kind}, exact"),
                     color,
-                    dashed: true,
+                    stroke: Stroke::Dashed,
                     points: ends.map(end).to_vec(),
                 });
             }
@@ -163,11 +158,12 @@ fn over_clusters(shown: &[&Measurement]) -> Vec<Chart> {
         let x = one.n_clusters? as f64;
         Some(Point { x, y, interval })
     };
-    let chart = |title: &str, y_label, y_spacing, series| Chart {
+    let chart = |title: &str, y_label, y_scale, series| Chart {
         title: title.to_owned(),
-        x_label: "clusters",
+        x_label: "clusters".to_owned(),
+        across: COUNTS,
         y_label,
-        y_spacing,
+        y_scale,
         series,
         size: SIZE,
     };
@@ -179,19 +175,19 @@ fn over_clusters(shown: &[&Measurement]) -> Vec<Chart> {
         },
         &|_| 0.0,
     );
-    difference.retain(|one| !one.dashed);
+    difference.retain(|one| one.stroke != Stroke::Dashed);
     let time = lines(&|one| point(one, one.query_s * 1e6, None), &|exact| {
         exact.query_s * 1e6
     });
     vec![
-        chart("K-Sim", "K-Sim", Spacing::Linear, k_sim),
+        chart("K-Sim", "K-Sim", Scale::Linear, k_sim),
         chart(
             "Clusters less exact",
             "difference in K-Sim",
-            Spacing::Linear,
+            Scale::Linear,
             difference,
         ),
-        chart("Time", "µs per query", Spacing::Logarithmic, time),
+        chart("Time", "µs per query", Scale::Logarithmic, time),
     ]
 }
 
