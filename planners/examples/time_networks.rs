@@ -1,19 +1,19 @@
 //! Milliseconds of a guided plan (20 steps of the U-Net and of the reward and novelty networks with their gradients)
 //! and of training updates, by the native backend. Weights are random: they do not change the time.
 //!
-//! `cargo run --release -p ksim-planners --example time_networks -- [CONFIG] [plan|update]`, with CONFIG one of
-//! hopper, walker2d, halfcheetah, antmaze. Wall time is the least of several runs; CPU time is the mean over all of
+//! `cargo run --release -p ksim-planners --example time_networks -- [CONFIG] [plan|update] [bf16]`, with CONFIG one of
+//! hopper, walker2d, halfcheetah, antmaze; `bf16` plans with rounded weights. Wall time is the least of several runs; CPU time is the mean over all of
 //! them and all threads (Linux; in steps of 10 ms over all runs), which says more on a machine that is not idle.
 #![expect(clippy::print_stdout, reason = "an example that prints a table")]
 
 use std::time::Instant;
 
-use ksim_planners::PlannerError;
 use ksim_planners::native::NativeBackend;
 use ksim_planners::nets::{
     Adam, Architecture, Backend, HalfJannerConfig, JannerConfig, Network, TimestepEmbedding,
     TrainableNetwork, TrainingState, initial_weights,
 };
+use ksim_planners::{PlannerError, Precision};
 
 const STEPS: usize = 20;
 
@@ -243,13 +243,18 @@ fn update(
 /// A backend and the threads that it uses.
 struct Timed {
     backend: Box<dyn Backend>,
+    precision: Precision,
     n_threads: usize,
     /// Where its calls come from.
     pool: rayon::ThreadPool,
 }
 
 impl Timed {
-    fn new(is_torch: bool, n_threads: usize) -> Result<Self, Box<dyn std::error::Error>> {
+    fn new(
+        is_torch: bool,
+        precision: Precision,
+        n_threads: usize,
+    ) -> Result<Self, Box<dyn std::error::Error>> {
         // libtorch has threads of its own: one operation after the other uses all of them.
         let callers = if is_torch { 1 } else { n_threads };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(callers);
@@ -257,8 +262,9 @@ impl Timed {
             backend: if is_torch {
                 torch(n_threads)?
             } else {
-                Box::new(NativeBackend::new())
+                Box::new(NativeBackend::with_precision(precision))
             },
+            precision,
             n_threads,
             pool: pool.build()?,
         })
@@ -266,8 +272,8 @@ impl Timed {
 
     fn row(&self, config: &Config, what: &str, (wall, cpu): Times) {
         let (backend, threads) = (self.backend.name(), self.n_threads);
-        let name = config.name;
-        println!("| {name} | {what} | {backend} | {threads} | {wall:.1} | {cpu:.1} |");
+        let (name, precision) = (config.name, self.precision);
+        println!("| {name} | {what} | {backend} {precision} | {threads} | {wall:.1} | {cpu:.1} |");
     }
 }
 
@@ -286,11 +292,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let has = |name: &str| arguments.iter().any(|a| a == name);
     let wanted = |names: &[&str], name: &str| !names.iter().any(|name| has(name)) || has(name);
+    let precision = match has("bf16") {
+        true => Precision::Bf16,
+        false => Precision::F32,
+    };
     let names = CONFIGS.map(|config| config.name);
     println!("| network | operation | backend | threads | wall ms | CPU ms |");
     println!("|---|---|---|--:|--:|--:|");
     for n_threads in [1, std::thread::available_parallelism()?.get()] {
-        let timed = Timed::new(has("torch"), n_threads)?;
+        let timed = Timed::new(has("torch"), precision, n_threads)?;
         for config in &CONFIGS {
             if !wanted(&names, config.name) {
                 continue;

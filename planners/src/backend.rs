@@ -81,19 +81,10 @@ fn open_native(options: &BackendOptions<'_>) -> Result<Box<dyn Backend>, Planner
             known: vec!["cpu"],
         });
     }
-    if options.precision != Precision::F32 {
-        return Err(PlannerError::UnknownBackend {
-            what: "precision of backend native",
-            name: options.precision.to_string(),
-            known: vec!["f32"],
-        });
-    }
+    let backend = NativeBackend::with_precision(options.precision);
     match options.n_threads {
-        None => Ok(Box::new(NativeBackend::new())),
-        Some(n_threads) => Ok(Box::new(threads::Threaded::new(
-            NativeBackend::new(),
-            n_threads,
-        )?)),
+        None => Ok(Box::new(backend)),
+        Some(n_threads) => Ok(Box::new(threads::Threaded::new(backend, n_threads)?)),
     }
 }
 

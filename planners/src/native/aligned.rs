@@ -4,19 +4,19 @@ use std::ops::{Deref, DerefMut};
 
 const LINE_BYTES: usize = 64;
 
-/// A slice of f32 whose first number lies at the start of a cache line.
+/// A slice of numbers whose first lies at the start of a cache line.
 #[derive(Debug, Default)]
-pub(super) struct Aligned {
-    numbers: Vec<f32>,
+pub(super) struct Aligned<T = f32> {
+    numbers: Vec<T>,
     start: usize,
     len: usize,
 }
 
-impl Aligned {
+impl<T: Copy + Default> Aligned<T> {
     /// Zeros.
     pub(super) fn zeros(len: usize) -> Self {
-        let slack = LINE_BYTES / size_of::<f32>();
-        let numbers = vec![0.0; len + slack];
+        let slack = LINE_BYTES / size_of::<T>();
+        let numbers = vec![T::default(); len + slack];
         // Where the offset cannot be told, the numbers are not aligned: slower, never wrong.
         let start = numbers.as_ptr().align_offset(LINE_BYTES).min(slack);
         Self {
@@ -55,16 +55,16 @@ impl Clone for Aligned {
     }
 }
 
-impl Deref for Aligned {
-    type Target = [f32];
+impl<T> Deref for Aligned<T> {
+    type Target = [T];
 
-    fn deref(&self) -> &[f32] {
+    fn deref(&self) -> &[T] {
         &self.numbers[self.start..][..self.len]
     }
 }
 
-impl DerefMut for Aligned {
-    fn deref_mut(&mut self) -> &mut [f32] {
+impl<T> DerefMut for Aligned<T> {
+    fn deref_mut(&mut self) -> &mut [T] {
         &mut self.numbers[self.start..][..self.len]
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::chunk::{Chunk, Keep, Kept, Times};
 use super::mish;
 use super::norm::{self, Plus};
+use super::panels::Panels;
 use super::plan::{Block, Layer, Plan, Step, Time};
 use super::prepared::Prepared;
 use super::product::{Product, Start};
@@ -20,6 +21,8 @@ pub(super) struct Model<'a> {
     /// Layers for Winograd are computed by it. Otherwise there are few windows, and the way back
     /// through some layers takes the weights of the way forward.
     pub(super) winograd: bool,
+    /// Weights are read in half the bytes, except by Winograd.
+    pub(super) halves: bool,
     /// As many zeros as a chunk has numbers in one position at most.
     pub(super) zeros: &'a [f32],
 }
@@ -302,7 +305,11 @@ impl Forward<'_> {
     }
 }
 
-impl Model<'_> {
+impl<'a> Model<'a> {
+    fn weights(self, layer: &Layer) -> Panels<'a> {
+        self.prepared.weights(layer, self.parameters, self.halves)
+    }
+
     fn apply(
         self,
         layer: &Layer,
@@ -331,7 +338,7 @@ impl Model<'_> {
                 samples,
                 inputs: layer.inputs,
                 outputs: layer.outputs,
-                weights: &self.parameters[layer.weights..][..layer.n_weights()],
+                weights: self.weights(layer),
                 taps: layer.kind.taps(),
                 passes: &layer.forward,
                 start,
@@ -370,7 +377,7 @@ impl Model<'_> {
                 inputs: layer.inputs,
                 outputs: layer.outputs,
                 taps: layer.kind.taps(),
-                weights: &self.parameters[layer.weights..][..layer.n_weights()],
+                weights: self.weights(layer),
                 passes: &layer.backward,
                 adds: matches!(start, Start::Output),
             }
@@ -381,7 +388,7 @@ impl Model<'_> {
                 samples,
                 inputs: layer.outputs,
                 outputs: layer.inputs,
-                weights: &self.prepared.transposed()[layer.transposed..][..layer.n_transposed()],
+                weights: self.prepared.transposed(layer, self.halves),
                 taps: layer.kind.taps(),
                 passes: &layer.backward,
                 start,

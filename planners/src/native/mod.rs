@@ -3,7 +3,8 @@
 //! Samples go through a network in chunks, which are what threads share out. In a chunk activations lie as
 //! `[position][sample][channel]`: see module `product`. Every number is summed in an order that depends neither on the
 //! samples beside it nor on the number of threads, and gradients by weights are added chunk by chunk. Only whether a
-//! call has fewer than four windows makes a difference, in the last digits: see module `winograd`.
+//! call has fewer than four windows makes a difference, in the last digits: see module `winograd`. Such a call may read
+//! its weights as bf16: see module `panels`.
 
 mod adam;
 mod aligned;
@@ -15,6 +16,7 @@ mod mish;
 mod network;
 mod norm;
 mod outer;
+mod panels;
 mod parameters;
 mod plan;
 mod prefetch;
@@ -26,16 +28,25 @@ mod unet;
 mod winograd;
 
 use crate::error::PlannerError;
+use crate::family::Precision;
 use crate::nets::{Architecture, Backend, Network, TrainableNetwork, TrainingState, Weights};
 
 /// The backend of this module.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct NativeBackend;
+pub struct NativeBackend {
+    precision: Precision,
+}
 
 impl NativeBackend {
-    /// The backend.
+    /// The backend, which computes in f32.
     pub fn new() -> Self {
-        Self
+        Self::default()
+    }
+
+    /// With [`Precision::Bf16`], fewer than four windows at a time are computed with weights that are rounded to
+    /// bf16 and read in half the time; sums, more windows and trainings stay f32.
+    pub fn with_precision(precision: Precision) -> Self {
+        Self { precision }
     }
 }
 
@@ -49,10 +60,9 @@ impl Backend for NativeBackend {
         architecture: &Architecture,
         weights: &Weights,
     ) -> Result<Box<dyn Network>, PlannerError> {
-        Ok(Box::new(network::NativeNetwork::new(
-            architecture,
-            weights,
-        )?))
+        let halves = self.precision == Precision::Bf16;
+        let network = network::NativeNetwork::new(architecture, weights, halves)?;
+        Ok(Box::new(network))
     }
 
     fn trainable(

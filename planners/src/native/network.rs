@@ -26,6 +26,8 @@ pub(super) struct NativeNetwork {
     architecture: Architecture,
     pub(super) plan: Plan,
     pub(super) parameters: Aligned,
+    /// Fewer windows than Winograd takes are computed with weights in half the bytes.
+    halves: bool,
     prepared: Prepared,
     zeros: Vec<f32>,
     pub(super) chunks: Vec<Chunk>,
@@ -49,6 +51,7 @@ impl NativeNetwork {
     pub(super) fn new(
         architecture: &Architecture,
         weights: &Weights,
+        halves: bool,
     ) -> Result<Self, PlannerError> {
         architecture.check_weights(weights)?;
         let plan = Plan::new(architecture);
@@ -63,6 +66,7 @@ impl NativeNetwork {
             zeros: vec![0.0; CHUNK * widest.unwrap_or(0)],
             plan,
             parameters,
+            halves,
             prepared: Prepared::default(),
             chunks: Vec::new(),
             time_chunk: Chunk::default(),
@@ -124,13 +128,18 @@ impl NativeNetwork {
             _ => None,
         };
         let winograd = t.len() >= LEAST_SAMPLES;
+        let halves = self.halves && !winograd;
         let (plan, back) = (&self.plan, keep != Keep::Nothing);
         self.prepared.need(plan, &self.parameters, back, winograd);
+        if halves {
+            self.prepared.need_halves(plan, &self.parameters, back);
+        }
         let model = Model {
             plan,
             parameters: &self.parameters,
             prepared: &self.prepared,
             winograd,
+            halves,
             zeros: &self.zeros,
         };
         let n_chunks = t.len().div_ceil(size);
@@ -177,6 +186,7 @@ impl NativeNetwork {
             parameters: &self.parameters,
             prepared: &self.prepared,
             winograd: false,
+            halves: false,
             zeros: &self.zeros,
         };
         self.time_chunk.reset(1, self.plan.layers.len());
@@ -201,6 +211,7 @@ impl NativeNetwork {
             parameters: &self.parameters,
             prepared: &self.prepared,
             winograd: kept.samples >= LEAST_SAMPLES,
+            halves: self.halves && kept.samples < LEAST_SAMPLES,
             zeros: &self.zeros,
         };
         let n_chunks = kept.samples.div_ceil(kept.chunk);

@@ -2,6 +2,7 @@
 
 use super::geometry::{self, Kind, Pass};
 use super::norm::Sizes;
+use super::panels::n_words;
 use super::product::{PANEL, n_panels};
 use super::winograd;
 use crate::nets::{Architecture, TimestepEmbedding};
@@ -22,6 +23,8 @@ pub(super) struct Layer {
     pub(super) transposed: usize,
     pub(super) forward: Vec<Pass>,
     pub(super) backward: Vec<Pass>,
+    /// Where its weights in half the bytes start, in a piece of their own for either way.
+    pub(super) halves: [usize; 2],
     /// If it can be computed by Winograd.
     pub(super) winograd: Option<Transformed>,
 }
@@ -44,6 +47,14 @@ impl Layer {
 
     pub(super) fn n_transposed(&self) -> usize {
         n_panels(self.inputs) * self.kind.taps() * self.outputs * PANEL
+    }
+
+    /// Words of its weights in half the bytes, forward and back.
+    pub(super) fn n_halves(&self) -> [usize; 2] {
+        [
+            n_words(self.n_weights(), self.inputs),
+            n_words(self.n_transposed(), self.outputs),
+        ]
     }
 
     /// Where a weight lies.
@@ -160,6 +171,8 @@ pub(super) struct Plan {
     pub(super) n_transposed: usize,
     /// Numbers in all weights for Winograd, one way.
     pub(super) n_winograd: usize,
+    /// Words in all weights in half the bytes, forward and back.
+    pub(super) n_halves: [usize; 2],
     /// Positions and channels of the input and of the output.
     pub(super) input: (usize, usize),
     pub(super) output: (usize, usize),
@@ -175,6 +188,7 @@ pub(super) struct Builder {
     n_weights: usize,
     n_transposed: usize,
     n_winograd: usize,
+    n_halves: [usize; 2],
     /// Names of norms, whose parameters come after the weights of all layers.
     norm_names: Vec<String>,
     /// Names of the blocks' time layers, and their outputs.
@@ -223,8 +237,12 @@ impl Builder {
             transposed: self.n_transposed,
             forward: geometry::forward(kind, length),
             backward: geometry::backward(kind, length),
+            halves: self.n_halves,
             winograd: None,
         };
+        for (sum, n) in self.n_halves.iter_mut().zip(layer.n_halves()) {
+            *sum += n;
+        }
         layer.winograd = winograd::n_points(&layer).map(|points| Transformed {
             points,
             start: self.n_winograd,
@@ -361,6 +379,7 @@ impl Builder {
             norms_start,
             n_transposed: self.n_transposed,
             n_winograd: self.n_winograd,
+            n_halves: self.n_halves,
             input,
             output,
         }

@@ -3,8 +3,9 @@
 use rayon::prelude::*;
 
 use super::aligned::Aligned;
+use super::panels::{Panels, halve};
 use super::parameters;
-use super::plan::Plan;
+use super::plan::{Layer, Plan};
 use super::winograd::transform_weights;
 
 /// Weights in other forms.
@@ -16,6 +17,8 @@ pub(super) struct Prepared {
     forward: Option<Aligned>,
     /// Winograd's for the way back.
     backward: Option<Aligned>,
+    /// In half the bytes, forward and back.
+    halves: [Option<Aligned<u32>>; 2],
 }
 
 impl Prepared {
@@ -33,7 +36,8 @@ impl Prepared {
         }
         if back && winograd && self.backward.is_none() {
             let mut backward = Aligned::zeros(plan.n_winograd);
-            fill_backward(plan, self.transposed(), &mut backward);
+            let transposed = self.transposed.as_deref().unwrap_or_default();
+            fill_backward(plan, transposed, &mut backward);
             self.backward = Some(backward);
         }
     }
@@ -49,11 +53,57 @@ impl Prepared {
         if let (Some(backward), Some(transposed)) = (&mut self.backward, &self.transposed) {
             fill_backward(plan, transposed, backward);
         }
+        self.halves = [None, None];
     }
 
-    /// Empty if it was not needed so far.
-    pub(super) fn transposed(&self) -> &[f32] {
-        self.transposed.as_deref().unwrap_or_default()
+    /// Makes what is missing of the weights in half the bytes, after [`Prepared::need`].
+    pub(super) fn need_halves(&mut self, plan: &Plan, parameters: &[f32], back: bool) {
+        let [forward, backward] = &mut self.halves;
+        if forward.is_none() {
+            let mut words = Aligned::zeros(plan.n_halves[0]);
+            for layer in &plan.layers {
+                let weights = &parameters[layer.weights..][..layer.n_weights()];
+                let words = &mut words[layer.halves[0]..][..layer.n_halves()[0]];
+                halve(weights, layer.inputs, words);
+            }
+            *forward = Some(words);
+        }
+        if let (true, None, Some(transposed)) = (back, &backward, &self.transposed) {
+            let mut words = Aligned::zeros(plan.n_halves[1]);
+            for layer in &plan.layers {
+                let weights = &transposed[layer.transposed..][..layer.n_transposed()];
+                let words = &mut words[layer.halves[1]..][..layer.n_halves()[1]];
+                halve(weights, layer.outputs, words);
+            }
+            *backward = Some(words);
+        }
+    }
+
+    /// A layer's weights for the way back, as f32 or in half the bytes.
+    pub(super) fn transposed(&self, layer: &Layer, halves: bool) -> Panels<'_> {
+        match (&self.halves[1], &self.transposed) {
+            (Some(words), _) if halves => {
+                Panels::Halves(&words[layer.halves[1]..][..layer.n_halves()[1]])
+            }
+            (_, Some(whole)) => Panels::Whole(&whole[layer.transposed..][..layer.n_transposed()]),
+            // It was not needed so far.
+            (_, None) => Panels::Whole(&[]),
+        }
+    }
+
+    /// A layer's weights, as f32 or in half the bytes.
+    pub(super) fn weights<'a>(
+        &'a self,
+        layer: &Layer,
+        parameters: &'a [f32],
+        halves: bool,
+    ) -> Panels<'a> {
+        match &self.halves[0] {
+            Some(words) if halves => {
+                Panels::Halves(&words[layer.halves[0]..][..layer.n_halves()[0]])
+            }
+            _ => Panels::Whole(&parameters[layer.weights..][..layer.n_weights()]),
+        }
     }
 
     pub(super) fn forward(&self) -> &[f32] {

@@ -10,6 +10,7 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::geometry::Pass;
+use super::panels::{Panels, widen};
 use super::prefetch::prefetch;
 
 /// Outputs in a panel of weights.
@@ -47,7 +48,7 @@ pub(super) struct Product<'a> {
     pub(super) inputs: usize,
     pub(super) outputs: usize,
     /// `[panel][taps][inputs][PANEL]`.
-    pub(super) weights: &'a [f32],
+    pub(super) weights: Panels<'a>,
     /// Taps of the weights.
     pub(super) taps: usize,
     pub(super) passes: &'a [Pass],
@@ -89,21 +90,19 @@ impl WithSimd for Run<'_> {
 #[inline(always)]
 fn run<S: Simd, const VECTORS: usize>(simd: S, run: Run<'_>) {
     let Run { product, output } = run;
-    let depth = product.taps * product.inputs * PANEL;
     let mut rows = Vec::new();
     for pass in product.passes {
         product.rows(pass, &mut rows);
         let stride = pass.taps.len() + 1;
         let n_rows = pass.count * product.samples;
         let n_tiles = n_rows.div_ceil(ROWS);
-        for (panel, weights) in product.weights.chunks_exact(depth).enumerate() {
+        for panel in 0..n_panels(product.outputs) {
             for tile in 0..n_tiles {
                 // Tiles as even as can be: no row is left over to run through the weights alone.
                 let (first, end) = (tile * n_rows / n_tiles, (tile + 1) * n_rows / n_tiles);
                 let tile = Tile {
                     product,
                     pass,
-                    weights,
                     panel,
                     rows: &rows[first * stride..end * stride],
                 };
@@ -158,7 +157,6 @@ impl Product<'_> {
 struct Tile<'a> {
     product: &'a Product<'a>,
     pass: &'a Pass,
-    weights: &'a [f32],
     panel: usize,
     /// As [`Product::rows`] has them.
     rows: &'a [usize],
@@ -197,9 +195,15 @@ impl<'a> Tile<'a> {
         }
         for (index, tap) in self.pass.taps.iter().enumerate() {
             if let Some(rows) = self.inputs(index) {
-                let depth = product.inputs * PANEL;
-                let weights = &self.weights[tap.weight * depth..][..depth];
-                accumulate::<S, N, VECTORS>(simd, &rows, weights, &mut sums);
+                let at = (self.panel, tap.weight);
+                match product.weights.tap(at, product.taps, product.inputs) {
+                    Panels::Whole(weights) => {
+                        accumulate::<S, N, VECTORS>(simd, &rows, weights, &mut sums);
+                    }
+                    Panels::Halves(words) => {
+                        accumulate_halves::<S, N, VECTORS>(simd, &rows, words, &mut sums);
+                    }
+                }
             }
         }
         for i in 0..N {
@@ -257,6 +261,46 @@ fn accumulate<S: Simd, const N: usize, const VECTORS: usize>(
             let value = simd.splat_f32s(rows[i][c]);
             for v in 0..VECTORS {
                 local[i][v] = simd.mul_add_f32s(value, weight[v], local[i][v]);
+            }
+        }
+    }
+    *sums = local;
+}
+
+/// As [`accumulate`], in the same order.
+#[inline(always)]
+fn accumulate_halves<S: Simd, const N: usize, const VECTORS: usize>(
+    simd: S,
+    rows: &[&[f32]; N],
+    words: &[u32],
+    sums: &mut [[S::f32s; VECTORS]; N],
+) {
+    let (words, _) = S::as_simd_u32s(words);
+    let (words, _) = words.as_chunks::<VECTORS>();
+    let n_whole = rows[0].len() / 2;
+    let mut pairs = [&[][..]; N];
+    for i in 0..N {
+        pairs[i] = &rows[i].as_chunks::<2>().0[..n_whole];
+    }
+    let mut local = *sums;
+    for (p, words) in words[..n_whole].iter().enumerate() {
+        prefetch(std::slice::from_ref(words), AHEAD);
+        let weights = widen::<S, VECTORS>(simd, words);
+        for half in 0..2 {
+            for i in 0..N {
+                let value = simd.splat_f32s(pairs[i][p][half]);
+                for v in 0..VECTORS {
+                    local[i][v] = simd.mul_add_f32s(value, weights[half][v], local[i][v]);
+                }
+            }
+        }
+    }
+    if let Some(words) = words.get(n_whole) {
+        let [weights, _] = widen::<S, VECTORS>(simd, words);
+        for i in 0..N {
+            let value = simd.splat_f32s(rows[i][2 * n_whole]);
+            for v in 0..VECTORS {
+                local[i][v] = simd.mul_add_f32s(value, weights[v], local[i][v]);
             }
         }
     }

@@ -8,8 +8,9 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::aligned::Aligned;
 use super::geometry::Pass;
+use super::panels::{Panels, widen};
 use super::plan::Layer;
-use super::product::PANEL;
+use super::product::{PANEL, n_panels};
 
 /// From so many weights on it pays.
 const LEAST_WEIGHTS: usize = 1 << 16;
@@ -37,7 +38,7 @@ pub(super) struct Shared<'a> {
     pub(super) outputs: usize,
     pub(super) taps: usize,
     /// `[panel][tap][inputs][PANEL]`, as on the way forward.
-    pub(super) weights: &'a [f32],
+    pub(super) weights: Panels<'a>,
     /// Of the way back.
     pub(super) passes: &'a [Pass],
     /// The result is added to what is there.
@@ -56,6 +57,8 @@ impl Shared<'_> {
     pub(super) fn write(&self, lanes: &mut Aligned, output: &mut [f32]) {
         let rows = output.len() / self.inputs;
         let block = (BLOCK / rows).clamp(PANEL, self.inputs.max(PANEL));
+        // Two inputs may share a word.
+        let block = block.next_multiple_of(2);
         lanes.grow(rows * block * PANEL);
         let pairs: Vec<Vec<Pair>> = (0..self.taps).map(|tap| self.pairs(tap)).collect();
         Arch::new().dispatch(Run {
@@ -117,20 +120,16 @@ impl Run<'_> {
         let shared = self.shared;
         let inputs = shared.inputs;
         let rows = self.output.len() / inputs;
-        let of_tap = inputs * PANEL;
         for first in (0..inputs).step_by(self.block) {
             let n = self.block.min(inputs - first);
             let lanes = &mut S::as_mut_simd_f32s(self.lanes).0[..rows * n];
             lanes.fill(simd.splat_f32s(0.0));
-            for (panel, weights) in shared
-                .weights
-                .chunks_exact(shared.taps * of_tap)
-                .enumerate()
-            {
-                for (pairs, weights) in self.pairs.iter().zip(weights.chunks_exact(of_tap)) {
-                    let weights = &weights[first * PANEL..][..n * PANEL];
+            for panel in 0..n_panels(shared.outputs) {
+                for (tap, pairs) in self.pairs.iter().enumerate() {
+                    let weights = shared.weights.tap((panel, tap), shared.taps, inputs);
+                    let weights = weights.inputs(first, n);
                     for pairs in pairs.chunks(ROWS) {
-                        let of = (pairs, panel);
+                        let of = (pairs, panel, n);
                         match pairs.len() {
                             1 => add::<S, 1, VECTORS>(simd, shared, of, weights, lanes),
                             2 => add::<S, 2, VECTORS>(simd, shared, of, weights, lanes),
@@ -151,13 +150,13 @@ impl Run<'_> {
     }
 }
 
-/// Adds the products of some rows of the gradient with a tap's weights in a panel.
+/// Adds the products of some rows of the gradient with a tap's weights in a panel, of `n` inputs.
 #[inline(always)]
 fn add<S: Simd, const N: usize, const VECTORS: usize>(
     simd: S,
     shared: &Shared<'_>,
-    (pairs, panel): (&[Pair], usize),
-    weights: &[f32],
+    (pairs, panel, n): (&[Pair], usize, usize),
+    weights: Panels<'_>,
     lanes: &mut [S::f32s],
 ) {
     let column = panel * PANEL;
@@ -171,14 +170,30 @@ fn add<S: Simd, const N: usize, const VECTORS: usize>(
         gradients[i].copy_from_slice(S::as_simd_f32s(&row).0);
         starts[i] = pairs[i].result;
     }
-    let (weights, _) = S::as_simd_f32s(weights);
-    let (weights, _) = weights.as_chunks::<VECTORS>();
-    let n = weights.len();
-    for c in 0..n {
-        for i in 0..N {
-            let sum = &mut lanes[starts[i] * n + c];
-            for v in 0..VECTORS {
-                *sum = simd.mul_add_f32s(gradients[i][v], weights[c][v], *sum);
+    match weights {
+        Panels::Whole(weights) => {
+            let (weights, _) = S::as_simd_f32s(weights).0.as_chunks::<VECTORS>();
+            for c in 0..n {
+                for i in 0..N {
+                    let sum = &mut lanes[starts[i] * n + c];
+                    for v in 0..VECTORS {
+                        *sum = simd.mul_add_f32s(gradients[i][v], weights[c][v], *sum);
+                    }
+                }
+            }
+        }
+        Panels::Halves(words) => {
+            let (words, _) = S::as_simd_u32s(words).0.as_chunks::<VECTORS>();
+            for c in (0..n).step_by(2) {
+                let weights = widen::<S, VECTORS>(simd, &words[c / 2]);
+                for half in 0..(n - c).min(2) {
+                    for i in 0..N {
+                        let sum = &mut lanes[starts[i] * n + c + half];
+                        for v in 0..VECTORS {
+                            *sum = simd.mul_add_f32s(gradients[i][v], weights[half][v], *sum);
+                        }
+                    }
+                }
             }
         }
     }

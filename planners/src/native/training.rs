@@ -36,7 +36,7 @@ impl NativeTraining {
         for weights in [&state.ema, &state.first_moment, &state.second_moment] {
             architecture.check_weights(weights)?;
         }
-        let network = NativeNetwork::new(architecture, &state.weights)?;
+        let network = NativeNetwork::new(architecture, &state.weights, false)?;
         Ok(Self {
             ema: gather(&network.plan, &state.ema)?,
             first_moment: gather(&network.plan, &state.first_moment)?,

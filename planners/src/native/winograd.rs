@@ -17,6 +17,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::aligned::Aligned;
 use super::geometry::{Kind, Pass, Tap};
+use super::panels::Panels;
 use super::plan::Layer;
 use super::product::{PANEL, Product, Start, n_panels};
 
@@ -152,7 +153,7 @@ impl Group<'_> {
                 samples: 1,
                 inputs: winograd.inputs,
                 outputs: winograd.outputs,
-                weights: &winograd.weights[point * depth..][..depth],
+                weights: Panels::Whole(&winograd.weights[point * depth..][..depth]),
                 taps: 1,
                 passes: &passes,
                 start: Start::Zero,
