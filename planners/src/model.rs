@@ -60,7 +60,7 @@ pub struct PlannerMeta {
     pub n_updates: BTreeMap<String, u64>,
     /// Whether training is done.
     pub finished: bool,
-    /// Fingerprint of the dataset, where the planner was trained by this program.
+    /// Fingerprint of the dataset that it was trained on, or that gave the statistics of an imported one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dataset: Option<String>,
 }

@@ -7,11 +7,11 @@
 
 mod support;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use ksim_planners::import::{
-    ReferenceFiles, ReferenceNetworks, read_state_dicts, reference_networks,
-};
+use ksim_planners::import::{ImportedNetwork, read_state_dicts, reference_networks};
+use ksim_planners::model::network;
 use ksim_planners::nets::{Architecture, Weights};
 use support::{Stored, read_tensors};
 
@@ -59,37 +59,42 @@ fn golden_pt_import_reads_every_number() {
     assert!(left.is_empty(), "not read: {left:?}");
 }
 
-fn networks(horizon: Option<usize>) -> Result<ReferenceNetworks, String> {
-    let [diffusion, reward, predictor, target] = FILES.map(|(file, _)| golden(file));
-    let files = ReferenceFiles {
-        diffusion: &diffusion,
-        reward: Some(&reward),
-        rnd: Some((&predictor, &target)),
-        horizon,
-    };
-    reference_networks(&files).map_err(|error| error.to_string())
+fn networks(
+    files: &[&str],
+    horizon: Option<usize>,
+) -> Result<BTreeMap<&'static str, ImportedNetwork>, String> {
+    let paths: Vec<PathBuf> = files.iter().map(|file| golden(file)).collect();
+    reference_networks(&paths, horizon).map_err(|error| error.to_string())
 }
 
 #[test]
 fn golden_pt_import_finds_the_networks() {
-    let networks = networks(Some(HORIZON)).unwrap();
-    let Architecture::Janner(diffusion) = &networks.diffusion.architecture else {
-        panic!("{:?}", networks.diffusion.architecture)
+    // In any order.
+    let files = [FILES[3].0, FILES[2].0, FILES[0].0, FILES[1].0];
+    let networks = networks(&files, Some(HORIZON)).unwrap();
+    let names: Vec<&str> = networks.keys().copied().collect();
+    let expected = [
+        network::CURIOSITY_PREDICTOR,
+        network::CURIOSITY_TARGET,
+        network::DIFFUSION,
+        network::REWARD,
+    ];
+    assert_eq!(names, expected);
+    let unet = &networks[network::DIFFUSION];
+    assert!(unet.path.ends_with("ckpt_tiny_diffusion.pt"));
+    let Architecture::Janner(diffusion) = &unet.architecture else {
+        panic!("{:?}", unet.architecture)
     };
     assert_eq!((diffusion.width, diffusion.model_dim), (5, 16));
     assert_eq!((diffusion.kernel_size, diffusion.horizon), (5, HORIZON));
     assert_eq!(diffusion.dim_mult, [1, 2]);
     let name = "downs.0.0.conv1.0.weight";
-    assert_ne!(
-        networks.diffusion.weights.tensors[name],
-        networks.diffusion.ema.tensors[name]
-    );
-    let reward = networks.reward.unwrap();
-    assert_eq!(reward.architecture.output_len(), 1);
-    let rnd = networks.rnd.unwrap();
-    assert_eq!(rnd.predictor.architecture.output_len(), 64);
-    let Architecture::HalfJanner(target) = &rnd.target else {
-        panic!("{:?}", rnd.target)
+    assert_ne!(unet.weights.tensors[name], unet.ema.tensors[name]);
+    let outputs = |name| networks[name].architecture.output_len();
+    assert_eq!(outputs(network::REWARD), 1);
+    assert_eq!(outputs(network::CURIOSITY_PREDICTOR), 64);
+    let Architecture::HalfJanner(target) = &networks[network::CURIOSITY_TARGET].architecture else {
+        panic!("{networks:?}")
     };
     assert_eq!((target.model_dim, target.embedding_dim), (8, 16));
     assert_eq!((target.out_dim, target.kernel_size), (64, 3));
@@ -97,45 +102,34 @@ fn golden_pt_import_finds_the_networks() {
 
 #[test]
 fn golden_pt_import_says_what_does_not_fit() {
-    let open = networks(None).unwrap_err();
-    assert!(
-        open.ends_with("leave the horizon open (2 to 8): say which"),
-        "{open}"
-    );
-    let long = networks(Some(16)).unwrap_err();
-    assert!(
-        long.ends_with("a network for horizons of 1 to 8, expected 16"),
-        "{long}"
-    );
-    let [diffusion, reward, predictor, target] = FILES.map(|(file, _)| golden(file));
-    let problem = |files: ReferenceFiles| reference_networks(&files).unwrap_err().to_string();
-    let alone = ReferenceFiles {
-        diffusion: &diffusion,
-        reward: None,
-        rnd: None,
-        horizon: Some(HORIZON),
-    };
-    let swapped = problem(ReferenceFiles {
-        diffusion: &reward,
-        ..alone
-    });
-    assert!(
-        swapped.contains("expected \"diffusion.\" before its name"),
-        "{swapped}"
-    );
-    let wrong = problem(ReferenceFiles {
-        reward: Some(&predictor),
-        ..alone
-    });
-    assert!(wrong.contains("64 outputs, expected 1"), "{wrong}");
-    let wrong = problem(ReferenceFiles {
-        rnd: Some((&target, &predictor)),
-        ..alone
-    });
-    assert!(wrong.contains("no \"model\" and \"model_ema\""), "{wrong}");
-    let wrong = problem(ReferenceFiles {
-        rnd: Some((&predictor, &predictor)),
-        ..alone
-    });
-    assert!(wrong.contains("is it the predictor?"), "{wrong}");
+    let [diffusion, reward, predictor, target] = FILES.map(|(file, _)| file);
+    let all = [diffusion, reward, predictor, target];
+    let cases: [(&[&str], Option<usize>, &str); 6] = [
+        (&all, None, "leave the horizon open (2 to 8): say which"),
+        (&all, Some(16), "horizons of 1 to 8, expected 16"),
+        (
+            &[reward, predictor],
+            Some(HORIZON),
+            "none of the files holds the network \"diffusion\"",
+        ),
+        (
+            &[diffusion, predictor],
+            Some(HORIZON),
+            "none of the files holds the network \"curiosity-target\"",
+        ),
+        (
+            &[diffusion, target],
+            Some(HORIZON),
+            "none of the files holds the network \"curiosity-predictor\"",
+        ),
+        (
+            &[diffusion, reward, reward],
+            Some(HORIZON),
+            "a second network \"reward\", beside",
+        ),
+    ];
+    for (files, horizon, expected) in cases {
+        let found = networks(files, horizon).unwrap_err();
+        assert!(found.contains(expected), "{found}, expected {expected}");
+    }
 }

@@ -27,7 +27,7 @@ use crate::training::{TrainedFamily, train};
 pub struct ReDiffuser;
 
 impl ReDiffuser {
-    const ID: &'static str = "rediffuser";
+    pub(crate) const ID: &'static str = "rediffuser";
 }
 
 /// Settings of a preset.

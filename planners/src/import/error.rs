@@ -54,12 +54,18 @@ pub enum ImportError {
         /// What is wrong.
         problem: String,
     },
+    /// None of the files is of a network that the others need.
+    #[error("none of the files holds the network \"{network}\", which the others need")]
+    Missing {
+        /// Its name in [`crate::model::network`].
+        network: &'static str,
+    },
     /// Its tensors do not fit the network that their shapes tell of.
-    #[error("{}: not a {network}", path.display())]
+    #[error("{}: not a whole network \"{network}\"", path.display())]
     Weights {
         /// The file.
         path: PathBuf,
-        /// The network that was expected.
+        /// Its name in [`crate::model::network`].
         network: &'static str,
         /// What does not fit.
         source: Box<PlannerError>,

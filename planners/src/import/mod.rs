@@ -7,7 +7,7 @@
 //! is allocated: reading takes no more memory than a small multiple of the file's length.
 //!
 //! [`read_state_dicts`] reads any such file; [`reference_networks`] puts the files of one trained planner
-//! together, and [`reference_planner`] makes a planner of them.
+//! together, [`reference_planner`] makes a planner of them, and [`import_run`] a run folder.
 
 mod archive;
 mod error;
@@ -15,14 +15,13 @@ mod opcode;
 mod pickle;
 mod planner;
 mod reference;
+mod run;
 mod shapes;
 mod state_dict;
 mod storage;
 
 pub use error::ImportError;
-pub use planner::reference_planner;
-pub use reference::{
-    ImportedNetwork, ImportedRnd, ReferenceFiles, ReferenceNetworks, reference_confidence,
-    reference_networks,
-};
+pub use planner::{ReferenceImport, reference_planner};
+pub use reference::{ImportedNetwork, reference_networks};
+pub use run::import_run;
 pub use state_dict::{StateDicts, read_state_dicts};

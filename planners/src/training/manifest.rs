@@ -14,6 +14,8 @@ use crate::tensor_file::write_atomically;
 
 /// Name of the file in a run folder.
 pub(crate) const MANIFEST_FILE: &str = "manifest.json";
+/// Name of the list of imported files in the manifest of a run that was not trained here.
+const IMPORTED: &str = "imported";
 /// Version of the format; a file of another one is refused.
 const FORMAT: u32 = 1;
 
@@ -153,9 +155,21 @@ impl Manifest {
             action: "read",
             source,
         })?;
-        let manifest: Self = serde_json::from_str(&text).map_err(|source| PlannerError::Json {
-            path: path.to_owned(),
-            source,
+        let manifest: Self = serde_json::from_str(&text).map_err(|source| {
+            // An imported run lacks what only a training has.
+            let table: Option<Map<String, Value>> = serde_json::from_str(&text).ok();
+            if table.is_some_and(|table| table.contains_key(IMPORTED)) {
+                return PlannerError::Mismatch {
+                    path: path.to_owned(),
+                    what: "the run".to_owned(),
+                    expected: "a training to go on with".to_owned(),
+                    found: "imported from files that hold no state of a training".to_owned(),
+                };
+            }
+            PlannerError::Json {
+                path: path.to_owned(),
+                source,
+            }
         })?;
         if manifest.format != FORMAT {
             return Err(PlannerError::Mismatch {

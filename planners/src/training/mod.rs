@@ -16,4 +16,5 @@ mod session;
 mod setting;
 
 pub use learner::{Learner, Rate, Update, cosine_rate};
+pub(crate) use manifest::{MANIFEST_FILE, Program};
 pub(crate) use run::{TrainedFamily, train};

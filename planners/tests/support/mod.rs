@@ -76,6 +76,11 @@ impl Folder {
         names.iter().map(|name| self.file(name)).collect()
     }
 
+    /// Where a file lies.
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.path.join(name)
+    }
+
     /// A file by name.
     pub(crate) fn file(&self, name: &str) -> File {
         let stem = name.trim_end_matches(".safetensors");

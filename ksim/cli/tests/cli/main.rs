@@ -13,6 +13,7 @@ mod index;
 mod mcap;
 mod pairing;
 mod planner;
+mod planner_import;
 mod plot;
 mod process;
 mod rollout;
@@ -21,5 +22,7 @@ mod score;
 #[expect(dead_code, reason = "the tests of the downloader need more of it")]
 #[path = "../../../../datasets/tests/download/server.rs"]
 mod server;
+#[path = "../../../../planners/tests/support/torch_save.rs"]
+mod torch_save;
 mod usage;
 mod validate;

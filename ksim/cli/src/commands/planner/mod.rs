@@ -1,4 +1,6 @@
-//! `ksim planner`: which planners there are, what a run is, and a planner as a process.
+//! `ksim planner`: which planners there are, what a run is, a run of imported files, and a planner as a process.
+
+mod import;
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -17,7 +19,7 @@ use crate::output::{self, OutputFormat};
 use crate::planner_args::PlanningArgs;
 use crate::table;
 
-/// List planners, describe a run, or serve a planner to another program
+/// List planners, describe a run, import one, or serve a planner to another program
 #[derive(Debug, Clone, Args)]
 pub(crate) struct PlannerCommandArgs {
     #[command(subcommand)]
@@ -30,6 +32,7 @@ enum PlannerCommand {
     List(ListArgs),
     /// What a run is: its planner, settings, dataset and files
     Info(InfoArgs),
+    Import(import::ImportArgs),
     /// Answer requests for plans on stdin, as docs/planner-processes.md says
     Serve(ServeArgs),
 }
@@ -65,6 +68,7 @@ pub(crate) fn run(args: &PlannerCommandArgs, context: &Context) -> Result<Comman
     match &args.command {
         PlannerCommand::List(args) => list(args.format),
         PlannerCommand::Info(args) => info(&args.run, args.format),
+        PlannerCommand::Import(args) => import::run(args, context),
         PlannerCommand::Serve(args) => serve_planner(args, context),
     }
 }
