@@ -11,6 +11,7 @@ mod document;
 mod episodes_table;
 mod indexed;
 mod load;
+mod openmp;
 mod outcome;
 mod output;
 mod pairing;
@@ -27,6 +28,7 @@ use std::process::ExitCode;
 use clap::Parser;
 
 fn main() -> ExitCode {
+    openmp::wait_passively();
     let cli = cli::Cli::parse();
     match cli.run() {
         Ok(outcome) => outcome.into(),

@@ -5,6 +5,8 @@ use std::path::Path;
 use serde_json::Value;
 
 use crate::process::{Run, batches, column, ksim};
+#[cfg(all(feature = "torch", unix))]
+use crate::process::{command, finished};
 
 /// A folder with a dataset: full pushes, which reach the goal.
 struct Toy(tempfile::TempDir);
@@ -165,6 +167,24 @@ fn a_planner_that_is_served_plans_as_one_that_is_not() {
         .failed(1, &["ended (exit status: 1)", "not on this machine"]);
     toy.rollout("process:sleep 60", &["--planner-timeout", "1"])
         .failed(1, &["`sleep 60`", "did not answer within 1 s"]);
+}
+
+/// OpenMP reads the variable when libtorch is loaded, so it must be set before the program starts.
+#[cfg(all(feature = "torch", unix))]
+#[test]
+fn threads_of_libtorch_wait_passively_unless_told_otherwise() {
+    let told = |policy: Option<&str>| {
+        let mut ksim = command();
+        match policy {
+            Some(policy) => ksim.env("OMP_WAIT_POLICY", policy),
+            None => ksim.env_remove("OMP_WAIT_POLICY"),
+        };
+        let planner = "process:sh -c 'echo waits $OMP_WAIT_POLICY >&2; exit 3'";
+        ksim.args(["rollout", "--env", "PointMass-v0", "--planner", planner]);
+        finished(&ksim.output().expect("the binary runs"))
+    };
+    told(None).failed(1, &["waits PASSIVE"]);
+    told(Some("ACTIVE")).failed(1, &["waits ACTIVE"]);
 }
 
 #[test]
