@@ -1,0 +1,34 @@
+//! The trained planners that come with the repository do what every planner must.
+#![cfg(feature = "native")]
+
+use std::path::{Path, PathBuf};
+
+use ksim_planners::{LoadOptions, Registry, conformance};
+
+/// Batches of other sizes add in another order.
+const TOLERANCE: f64 = 1e-3;
+
+fn shipped() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/planners");
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut runs: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    runs.retain(|path| path.is_dir());
+    runs.sort();
+    runs
+}
+
+#[test]
+fn shipped_planners_load_and_plan() {
+    let runs = shipped();
+    assert!(!runs.is_empty());
+    for run in runs {
+        let options = LoadOptions {
+            n_candidates: Some(2),
+            ..LoadOptions::default()
+        };
+        let make = || Registry::builtin().load(&run, &options).unwrap();
+        let width = make().spec().observation_dim;
+        let observations: Vec<f64> = (0..9 * width).map(|at| 0.3 * (at as f64).sin()).collect();
+        conformance::check_within(&make, &observations, TOLERANCE);
+    }
+}
