@@ -180,7 +180,8 @@ fn threads_of_libtorch_wait_passively_unless_told_otherwise() {
             None => ksim.env_remove("OMP_WAIT_POLICY"),
         };
         let planner = "process:sh -c 'echo waits $OMP_WAIT_POLICY >&2; exit 3'";
-        ksim.args(["rollout", "--env", "PointMass-v0", "--planner", planner]);
+        ksim.args(["rollout", "--env", "PointMass-v0", "--episodes", "1"]);
+        ksim.args(["--planner", planner]);
         finished(&ksim.output().expect("the binary runs"))
     };
     told(None).failed(1, &["waits PASSIVE"]);
