@@ -137,7 +137,9 @@ fn imports_that_cannot_be_are_refused_and_leave_nothing() {
     let entries = [("c/data.pkl", &evil[..]), ("c/version", b"3\n")];
     let entries = entries.map(|(name, contents)| (name.to_owned(), contents.to_vec()));
     fs::write(files.at("evil.pt"), archive(&entries)).expect("it is written");
-    let cases: [(&[&str], &[&str], i32, &[&str]); 7] = [
+    // Files, flags, exit code, parts of the message.
+    type Case<'a> = (&'a [&'a str], &'a [&'a str], i32, &'a [&'a str]);
+    let cases: [Case<'_>; 7] = [
         (&["pickle.pt"], &HOPPER, 1, &["pickle.pt", "a bare pickle"]),
         (&["cut.pt"], &HOPPER, 1, &["cut.pt", "not a whole zip"]),
         (&["evil.pt"], &HOPPER, 1, &["\"posix.system\" is refused"]),
