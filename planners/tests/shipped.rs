@@ -10,8 +10,10 @@ const TOLERANCE: f64 = 1e-3;
 
 fn shipped() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/planners");
-    let entries = std::fs::read_dir(folder).unwrap();
-    let mut runs: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    let entries = std::fs::read_dir(folder).expect("the folder is there");
+    let mut runs: Vec<PathBuf> = entries
+        .map(|entry| entry.expect("an entry").path())
+        .collect();
     runs.retain(|path| path.is_dir());
     runs.sort();
     runs
