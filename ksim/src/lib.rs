@@ -49,6 +49,7 @@ pub use neighbors::{
     SearchRequest, Simd,
 };
 pub use normalizer::Normalizer;
+pub use prefetch::prefetch;
 pub use score::{
     Aggregate, ApproximationError, EpisodeScore, KSim, KSimParams, Prepared, Reference, Report,
     ScoreOptions, Search, StepScore,

@@ -259,8 +259,11 @@ impl Matrix {
         let range = row as usize * self.n_features..(row as usize + 1) * self.n_features;
         for plane in [&self.high, &self.low] {
             let values = plane.get(range.clone()).unwrap_or_default();
-            values.iter().step_by(LINE).for_each(prefetch);
-            values.last().into_iter().for_each(prefetch);
+            for at in (0..values.len()).step_by(LINE) {
+                prefetch(values, at);
+            }
+            // A row begins anywhere in a line, so that its end may lie in one more.
+            prefetch(values, values.len().saturating_sub(1));
         }
     }
 

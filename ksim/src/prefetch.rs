@@ -1,16 +1,19 @@
-//! Asking for memory ahead of its use.
+//! Telling the processor what will be read soon.
 
-#![expect(unsafe_code, reason = "an instruction without a safe name")]
+#![expect(unsafe_code, reason = "there is no safe intrinsic for it")]
 
-/// Asks for the cache line in which `value` begins, where the machine can.
+/// Asks for the cache line of `items[index]`, which may lie beyond the end: nothing is read, only
+/// fetched, and on machines other than x86-64 not even that.
 #[inline(always)]
-pub(crate) fn prefetch<T>(value: &T) {
+pub fn prefetch<T>(items: &[T], index: usize) {
     #[cfg(target_arch = "x86_64")]
-    // SAFETY: a hint that every x86-64 takes, of an address that is valid.
-    unsafe {
+    {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast());
+
+        let address = items.as_ptr().wrapping_add(index).cast::<i8>();
+        // SAFETY: a prefetch neither reads nor writes and never faults, whatever the address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(address) };
     }
     #[cfg(not(target_arch = "x86_64"))]
-    let _ = value;
+    let _ = (items, index);
 }

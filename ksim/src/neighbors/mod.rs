@@ -6,7 +6,6 @@
 mod best;
 mod blocked;
 mod clusters;
-mod cost;
 mod kd_tree;
 mod linear;
 mod quantized;
@@ -17,7 +16,6 @@ use std::ops::Range;
 
 pub use blocked::Blocked;
 pub use clusters::Clusters;
-pub(crate) use cost::{Exact, Workload};
 pub use kd_tree::KdTree;
 pub use linear::Linear;
 pub use quantized::{RoundedRows, Simd};

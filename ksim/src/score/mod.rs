@@ -2,6 +2,7 @@
 
 mod approximation;
 mod bootstrap;
+mod cost;
 mod params;
 mod reference;
 mod report;

@@ -4,13 +4,12 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
+use super::cost::Workload;
 use super::{KSim, Reference};
 use crate::error::ScoreError;
 use crate::kmeans::{KMeans, KMeansParams};
 use crate::matrix::Matrix;
-use crate::neighbors::{
-    Blocked, Clusters, Exact, KdTree, Linear, NeighborIndex, RoundedRows, Workload,
-};
+use crate::neighbors::{Blocked, Clusters, KdTree, Linear, NeighborIndex, RoundedRows};
 use crate::trajectories::Trajectories;
 
 /// Which engine finds the nearest states.
@@ -246,10 +245,6 @@ impl KSimParams {
             n_queries: self.n_queries,
             is_rounded: prepared.rounded.is_some(),
         };
-        match workload.cheapest() {
-            Exact::Linear => Search::Linear,
-            Exact::KdTree => Search::KdTree,
-            Exact::Blocked => Search::Blocked,
-        }
+        workload.cheapest()
     }
 }

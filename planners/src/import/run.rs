@@ -14,10 +14,7 @@ use super::planner::{Assembled, ReferenceImport, assemble, file_name};
 use crate::error::PlannerError;
 use crate::model::{PLANNER_FILE, PlannerMeta};
 use crate::tensor_file::write_atomically;
-use crate::training::{MANIFEST_FILE, Program};
-
-/// Version of the manifest's format.
-const FORMAT: u32 = 1;
+use crate::training::{MANIFEST_FILE, MANIFEST_FORMAT, Program};
 
 /// Bytes that are read in one go.
 const PIECE: usize = 1 << 16;
@@ -87,7 +84,7 @@ pub fn import_run(
         });
     }
     let manifest = Manifest {
-        format: FORMAT,
+        format: MANIFEST_FORMAT,
         family: &planner.meta.family,
         preset: import.preset,
         config: planner.meta.config.to_json(),

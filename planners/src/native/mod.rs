@@ -19,7 +19,6 @@ mod outer;
 mod panels;
 mod parameters;
 mod plan;
-mod prefetch;
 mod prepared;
 mod product;
 mod shared;

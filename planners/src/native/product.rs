@@ -7,11 +7,11 @@
 //! Every output is summed in one fixed order (its starting value, then taps and inputs as the pass lists them, one
 //! fused multiply-add each), so that it depends neither on the rows beside it nor on the number of threads.
 
+use ksim::prefetch;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::geometry::Pass;
 use super::panels::{Panels, widen};
-use super::prefetch::prefetch;
 
 /// Outputs in a panel of weights.
 pub(super) const PANEL: usize = 16;

@@ -17,7 +17,7 @@ pub(crate) const MANIFEST_FILE: &str = "manifest.json";
 /// Name of the list of imported files in the manifest of a run that was not trained here.
 const IMPORTED: &str = "imported";
 /// Version of the format; a file of another one is refused.
-const FORMAT: u32 = 1;
+pub(crate) const MANIFEST_FORMAT: u32 = 1;
 
 /// The manifest of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -104,7 +104,7 @@ impl Manifest {
         dataset: DatasetEntry,
     ) -> Self {
         Self {
-            format: FORMAT,
+            format: MANIFEST_FORMAT,
             run: String::new(),
             family: family.to_owned(),
             preset: preset.to_owned(),
@@ -123,7 +123,7 @@ impl Manifest {
         // How often it is saved does not change what is learned.
         config.remove("checkpoint_interval");
         let parts = serde_json::json!({
-            "format": FORMAT,
+            "format": MANIFEST_FORMAT,
             "family": self.family,
             "seed": self.seed,
             "config": config,
@@ -171,11 +171,11 @@ impl Manifest {
                 source,
             }
         })?;
-        if manifest.format != FORMAT {
+        if manifest.format != MANIFEST_FORMAT {
             return Err(PlannerError::Mismatch {
                 path: path.to_owned(),
                 what: "the format".to_owned(),
-                expected: FORMAT.to_string(),
+                expected: MANIFEST_FORMAT.to_string(),
                 found: manifest.format.to_string(),
             });
         }

@@ -16,5 +16,5 @@ mod session;
 mod setting;
 
 pub use learner::{Learner, Rate, Update, cosine_rate};
-pub(crate) use manifest::{MANIFEST_FILE, Program};
+pub(crate) use manifest::{MANIFEST_FILE, MANIFEST_FORMAT, Program};
 pub(crate) use run::{TrainedFamily, train};

@@ -61,11 +61,9 @@ impl Operation for SweepAlone<'_> {
         let strips = block.strips.as_chunks::<PAIR_BYTES>().0;
         let numbered = strips.chunks_exact(strip_pairs).enumerate();
         for ((number, strip), rows) in numbered.zip(block.rows.chunks_exact(STRIP_ROWS)) {
-            if let Some(later) = strips.get((number + AHEAD) * strip_pairs..) {
-                // A group of two pairs is a cache line.
-                for step in query.first.iter().step_by(2) {
-                    later.get(step.pair).inspect(|codes| prefetch(*codes));
-                }
+            // A group of two pairs is a cache line.
+            for step in query.first.iter().step_by(2) {
+                prefetch(strips, (number + AHEAD) * strip_pairs + step.pair);
             }
             if lanes.strip_at_least(strip, &query.first, self.limits[0]) == 0 {
                 continue;
