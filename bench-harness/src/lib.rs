@@ -5,11 +5,12 @@
 //! records; [`k_sim`] scores it against the data; [`planner_source`] finds planners. [`suite`] plays benchmarks of
 //! them, kept in a [`run_dir`], and
 //! [`report`] says what came of it; [`search_bench`] measures the engines of
-//! `ksim` against each other; [`figure`] draws.
+//! `ksim` against each other; [`figure`] draws, and [`page`] is the page of `ksim report`.
 
 mod error;
 pub mod figure;
 pub mod k_sim;
+pub mod page;
 pub mod planner_source;
 pub mod policy;
 pub mod record;

@@ -14,6 +14,7 @@ pub(crate) enum Purpose {
     Recovery = 5,
     Synthetic = 6,
     QueryNoise = 7,
+    HeldOut = 8,
 }
 
 /// A seeded stream of numbers.

@@ -7,6 +7,8 @@ pub mod paths;
 mod scale;
 pub mod search;
 
+pub use scale::Palettes;
+
 use svg::Document;
 use svg::node::element::{Rectangle, Text};
 

@@ -1,6 +1,7 @@
 //! Colors for numbers, and the bar that explains them.
 
 use colorous::Gradient;
+use serde::Serialize;
 use svg::node::element::{Group, Line, Rectangle};
 
 use super::{px, text};
@@ -100,6 +101,28 @@ impl ColorScale {
         let (middle, right) = (bottom - height / 2.0, x + WIDTH + 42.0);
         let turn = format!("rotate(-90 {} {})", px(right), px(middle));
         group.add(text(self.label, [right, middle], 11.0, "middle").set("transform", turn))
+    }
+}
+
+/// The colors of the scales from low to high, such as `#440154`, for figures that are drawn elsewhere.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Palettes {
+    /// K-Sim scores, from 0 to 1.
+    pub k_sim: Vec<String>,
+    /// Novelties of plans.
+    pub novelty: Vec<String>,
+    /// Steps.
+    pub step: Vec<String>,
+}
+
+impl Default for Palettes {
+    fn default() -> Self {
+        let colors = |scale: ColorScale| (0..N_LEVELS).map(|level| scale.color(level)).collect();
+        Self {
+            k_sim: colors(ColorScale::k_sim()),
+            novelty: colors(ColorScale::novelty([0.0, 1.0].into_iter())),
+            step: colors(ColorScale::steps(1)),
+        }
     }
 }
 

@@ -4,7 +4,8 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 
 use crate::commands::{
-    bench, convert, dataset, demo, env, index, planner, plot, rollout, score, train,
+    bench, convert, dataset, demo, env, export, index, planner, plot, report, rollout, score,
+    train, watch,
 };
 use crate::context::{Context, GlobalArgs};
 use crate::outcome::CommandOutcome;
@@ -24,11 +25,14 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Score(Box<score::ScoreArgs>),
+    Report(Box<report::ReportArgs>),
     Rollout(Box<rollout::RolloutArgs>),
     Train(Box<train::TrainArgs>),
     Planner(Box<planner::PlannerCommandArgs>),
     Env(env::EnvArgs),
     Plot(plot::PlotArgs),
+    Watch(Box<watch::WatchArgs>),
+    Export(export::ExportArgs),
     Convert(Box<convert::ConvertArgs>),
     Dataset(dataset::DatasetArgs),
     Index(index::IndexArgs),
@@ -42,11 +46,14 @@ impl Cli {
         let context = Context::new(&self.globals)?;
         match self.command {
             Command::Score(args) => score::run(&args, &context),
+            Command::Report(args) => report::run(&args, &context),
             Command::Rollout(args) => rollout::run(&args, &context),
             Command::Train(args) => train::run(&args, &context),
             Command::Planner(args) => planner::run(&args, &context),
             Command::Env(args) => env::run(&args),
             Command::Plot(args) => plot::run(&args, &context),
+            Command::Watch(args) => watch::run(&args, &context),
+            Command::Export(args) => export::run(&args, &context),
             Command::Convert(args) => convert::run(&args, &context),
             Command::Dataset(args) => dataset::run(&args, &context),
             Command::Index(args) => index::run(&args, &context),

@@ -190,26 +190,31 @@ pub(crate) fn stamp(
     options: &OpenOptions,
     columns: &Columns,
 ) -> Result<String> {
-    let mut files = Vec::new();
-    collect(&info.path, &mut files)
-        .with_context(|| format!("cannot list {}", info.path.display()))?;
-    files.extend(options.mapping.clone());
-    files.sort();
     let mut hasher = blake3::Hasher::new();
-    for path in &files {
-        let name = path.strip_prefix(&info.path).unwrap_or(path);
-        let metadata = path
-            .metadata()
-            .with_context(|| format!("cannot look at {}", path.display()))?;
-        hasher
-            .update(format!("{name:?} {} {}\n", metadata.len(), changed_ns(&metadata)).as_bytes());
-    }
+    hasher.update(look(&info.path, options.mapping.as_deref())?.as_bytes());
     let reading = OpenOptions {
         mapping: None,
         ..options.clone()
     };
     hasher.update(format!("{reading:?} {:?} {:?}", columns.indices, columns.actions).as_bytes());
     Ok(hasher.finalize().to_hex()[..16].to_owned())
+}
+
+/// How the files of a dataset look from outside: a line per file with its name, length and time of change.
+pub(crate) fn look(dataset: &Path, mapping: Option<&Path>) -> Result<String> {
+    let mut files = Vec::new();
+    collect(dataset, &mut files).with_context(|| format!("cannot list {}", dataset.display()))?;
+    files.extend(mapping.map(Path::to_owned));
+    files.sort();
+    let mut seen = String::new();
+    for path in &files {
+        let name = path.strip_prefix(dataset).unwrap_or(path);
+        let metadata = path
+            .metadata()
+            .with_context(|| format!("cannot look at {}", path.display()))?;
+        seen += &format!("{name:?} {} {}\n", metadata.len(), changed_ns(&metadata));
+    }
+    Ok(seen)
 }
 
 /// Time of the last change, in nanoseconds since 1970; 0 where the system does not say.

@@ -15,7 +15,7 @@ use ksim_index::{IndexError, StagedSteps};
 use crate::context::Context;
 
 /// Column that tells whose rollouts a row belongs to.
-const PLANNER: &str = "info.planner";
+pub(crate) const PLANNER: &str = "info.planner";
 
 /// The steps of one planner, or of a whole file.
 #[derive(Debug)]

@@ -11,17 +11,24 @@ mod document;
 mod episodes_table;
 mod indexed;
 mod load;
+mod mazes;
+mod novelty;
 mod openmp;
 mod outcome;
 mod output;
+mod overlay;
 mod pairing;
 mod per_step;
 mod planner_args;
+mod reporting;
 mod rolling;
 mod rollout_args;
 mod scoring;
+mod scoring_args;
 mod settings;
+mod sparkline;
 mod table;
+mod watching;
 
 use std::process::ExitCode;
 

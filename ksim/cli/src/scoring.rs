@@ -1,21 +1,19 @@
 //! Scoring files against a dataset: open, check, read, fit, score.
 
+mod fitted;
+
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::{Context as _, Result, bail};
-use ksim::{ApproximationError, KSim, Prepared, Reference, Report, ScoreOptions, Search};
+use anyhow::{Context as _, Result};
+use ksim::{ApproximationError, KSim, Report, ScoreOptions};
 use ksim_datasets::{DatasetInfo, DatasetSource, OpenOptions};
-use ksim_index::SavedIndex;
 
+use self::fitted::{Fitted, fit};
 use crate::atomic;
-use crate::centers::Centers;
 use crate::context::Context;
 use crate::data_args;
-use crate::document::{
-    DatasetPart, Document, Parameters, RolloutResult, SCHEMA, SearchPart, fingerprint,
-};
-use crate::indexed::{self, Request};
+use crate::document::{Document, RolloutResult, SCHEMA};
 use crate::load::{self, Columns, StepNumbers, Steps};
 use crate::outcome::CommandOutcome;
 use crate::pairing::{self, Listed};
@@ -46,7 +44,30 @@ pub(crate) struct Job {
     pub(crate) settings: Settings,
     /// Where to write the evidence.
     pub(crate) per_step: Option<PathBuf>,
+    /// What else the command writes: no input may be there.
+    pub(crate) output: Option<PathBuf>,
 }
+
+/// A job whose files are opened and whose dataset is fitted.
+pub(crate) struct Session {
+    inputs: Inputs,
+    fitted: Fitted,
+}
+
+/// One scored file of rollouts, or one planner of it.
+pub(crate) struct ScoredRollouts {
+    /// Place of the file among those of the session.
+    pub(crate) file: usize,
+    /// Place among the planners of the file.
+    pub(crate) group: usize,
+    /// States and actions.
+    pub(crate) steps: Steps,
+    /// Their scores.
+    pub(crate) report: Report,
+}
+
+/// Takes what was scored.
+pub(crate) type Visit<'a> = dyn FnMut(ScoredRollouts) -> Result<()> + 'a;
 
 /// The opened files of a job.
 struct Inputs {
@@ -57,55 +78,102 @@ struct Inputs {
 }
 
 /// One opened file of rollouts.
-struct RolloutFile {
+pub(crate) struct RolloutFile {
     /// As given on the command line.
-    name: String,
-    source: Box<dyn DatasetSource>,
+    pub(crate) name: String,
+    /// The opened file.
+    pub(crate) source: Box<dyn DatasetSource>,
     /// Its columns that go with the dataset's.
-    columns: Columns,
-}
-
-/// A fitted reference and what is known about it.
-struct Fitted {
-    ksim: KSim,
-    /// An exact search over the same reference, if the approximation error is wanted.
-    exact: Option<KSim>,
-    /// The index the reference lies in, which bounds the memory of a large one while it lives.
-    _saved: Option<SavedIndex>,
-    steps: StepNumbers,
-    dataset: DatasetPart,
-    parameters: Parameters,
-    search: SearchPart,
-    fingerprint: String,
+    pub(crate) columns: Columns,
 }
 
 /// Runs a job. Writes the per-step file, prints nothing but warnings and progress.
 pub(crate) fn run(job: &Job, context: &Context) -> Result<(Document, CommandOutcome)> {
     let started = Instant::now();
-    if let Some(path) = &job.per_step {
-        atomic::check_target(path)?;
+    let session = Session::open(job, context)?;
+    let results = session.score(job, context, &mut |_| Ok(()))?;
+    let mut document = session.document(results, context);
+    document.elapsed_s = started.elapsed().as_secs_f64();
+    Ok((document, session.outcome()))
+}
+
+impl Session {
+    /// Opens all files, checks that they fit, reads the dataset and builds the search.
+    pub(crate) fn open(job: &Job, context: &Context) -> Result<Self> {
+        for path in [&job.per_step, &job.output].into_iter().flatten() {
+            atomic::check_target(path)?;
+        }
+        for idle in job.settings.idle_flags() {
+            context.warn(&idle);
+        }
+        let inputs = open(job, context)?;
+        check_outputs(job, &inputs)?;
+        let fitted = fit(&inputs, job, context)?;
+        Ok(Self { inputs, fitted })
     }
-    for idle in job.settings.idle_flags() {
-        context.warn(&idle);
+
+    /// Scores all files in their order and hands on what came of each. Writes the per-step file.
+    pub(crate) fn score(
+        &self,
+        job: &Job,
+        context: &Context,
+        visit: &mut Visit<'_>,
+    ) -> Result<Vec<RolloutResult>> {
+        score_all(&self.inputs, &self.fitted, job, context, visit)
     }
-    let inputs = open(job, context)?;
-    check_output(job, &inputs)?;
-    let fitted = fit(&inputs, job, context)?;
-    let results = score_all(&inputs, &fitted, job, context)?;
-    let document = Document {
-        schema: SCHEMA,
-        version: env!("CARGO_PKG_VERSION"),
-        results,
-        dataset: fitted.dataset,
-        parameters: fitted.parameters,
-        search: fitted.search,
-        fingerprint: fitted.fingerprint,
-        threads: context.threads(),
-        elapsed_s: started.elapsed().as_secs_f64(),
-    };
-    let sources = inputs.rollouts.iter().map(|file| file.source.info());
-    let outcome = CommandOutcome::of(sources.chain([inputs.dataset.info()]));
-    Ok((document, outcome))
+
+    /// Opens rollouts that are not among the job's.
+    pub(crate) fn open_rollouts(&self, name: &str, job: &Job) -> Result<RolloutFile> {
+        open_rollouts(name, job, (&*self.inputs.dataset, &self.inputs.columns))
+    }
+
+    /// The document of the results, without the time they took.
+    pub(crate) fn document(&self, results: Vec<RolloutResult>, context: &Context) -> Document {
+        let fitted = &self.fitted;
+        Document {
+            schema: SCHEMA,
+            version: env!("CARGO_PKG_VERSION"),
+            results,
+            dataset: fitted.dataset.clone(),
+            parameters: fitted.parameters.clone(),
+            search: fitted.search.clone(),
+            fingerprint: fitted.fingerprint.clone(),
+            threads: context.threads(),
+            elapsed_s: 0.0,
+        }
+    }
+
+    /// How the command ends, as far as the readers know.
+    pub(crate) fn outcome(&self) -> CommandOutcome {
+        let inputs = &self.inputs;
+        let sources = inputs.rollouts.iter().map(|file| file.source.info());
+        CommandOutcome::of(sources.chain([inputs.dataset.info()]))
+    }
+
+    /// The engine, fitted to the dataset.
+    pub(crate) fn ksim(&self) -> &KSim {
+        &self.fitted.ksim
+    }
+
+    /// Step numbers of the dataset.
+    pub(crate) fn reference_numbers(&self) -> &StepNumbers {
+        &self.fitted.steps
+    }
+
+    /// The dataset.
+    pub(crate) fn dataset(&self) -> &dyn DatasetSource {
+        &*self.inputs.dataset
+    }
+
+    /// The rollouts.
+    pub(crate) fn files(&self) -> &[RolloutFile] {
+        &self.inputs.rollouts
+    }
+
+    /// Names of the state columns.
+    pub(crate) fn state_names(&self) -> &[String] {
+        &self.inputs.columns.names
+    }
 }
 
 /// Opens every file and checks that they fit, before anything is computed.
@@ -114,20 +182,14 @@ fn open(job: &Job, context: &Context) -> Result<Inputs> {
     warn_of(dataset.info(), context);
     let columns = Columns::select(&*dataset, job.settings.state_columns.as_deref())
         .with_context(|| dataset.info().path.display().to_string())?;
-    let listed = Listed::new(&job.rollout_options, &job.dataset_options);
     let mut rollouts = Vec::with_capacity(job.rollouts.len());
     for name in &job.rollouts {
-        let (_, source) = data_args::open(name, &job.rollout_options)?;
-        let columns = pairing::columns_of(&*source, &*dataset, &columns, listed)?;
-        warn_of(source.info(), context);
-        if let Some(warning) = load::ignored_planners(&*source) {
-            context.warn(&format!("{}: {warning}", source.info().path.display()));
+        let file = open_rollouts(name, job, (&*dataset, &columns))?;
+        warn_of(file.source.info(), context);
+        if let Some(warning) = load::ignored_planners(&*file.source) {
+            context.warn(&format!("{}: {warning}", file.source.info().path.display()));
         }
-        rollouts.push(RolloutFile {
-            name: name.clone(),
-            source,
-            columns,
-        });
+        rollouts.push(file);
     }
     Ok(Inputs {
         dataset_name: resolved.name,
@@ -137,17 +199,33 @@ fn open(job: &Job, context: &Context) -> Result<Inputs> {
     })
 }
 
+/// Opens rollouts and finds their columns that go with the chosen ones of the dataset.
+fn open_rollouts(
+    name: &str,
+    job: &Job,
+    (dataset, columns): (&dyn DatasetSource, &Columns),
+) -> Result<RolloutFile> {
+    let (_, source) = data_args::open(name, &job.rollout_options)?;
+    let listed = Listed::new(&job.rollout_options, &job.dataset_options);
+    let columns = pairing::columns_of(&*source, dataset, columns, listed)?;
+    Ok(RolloutFile {
+        name: name.to_owned(),
+        source,
+        columns,
+    })
+}
+
 /// Refuses to write over what is read.
-fn check_output(job: &Job, inputs: &Inputs) -> Result<()> {
-    let Some(target) = &job.per_step else {
-        return Ok(());
-    };
-    let rollouts = inputs.rollouts.iter().map(|file| &*file.source);
-    let sources = rollouts.chain([&*inputs.dataset]);
-    let paths = sources.map(|source| &*source.info().path);
-    let centers = job.settings.centers.iter().map(|file| &*file.path);
-    let index = job.index.as_deref();
-    atomic::check_not_an_input(target, paths.chain(centers).chain(index))
+fn check_outputs(job: &Job, inputs: &Inputs) -> Result<()> {
+    for target in [&job.per_step, &job.output].into_iter().flatten() {
+        let rollouts = inputs.rollouts.iter().map(|file| &*file.source);
+        let sources = rollouts.chain([&*inputs.dataset]);
+        let paths = sources.map(|source| &*source.info().path);
+        let centers = job.settings.centers.iter().map(|file| &*file.path);
+        let index = job.index.as_deref();
+        atomic::check_not_an_input(target, paths.chain(centers).chain(index))?;
+    }
+    Ok(())
 }
 
 fn warn_of(info: &DatasetInfo, context: &Context) {
@@ -156,125 +234,12 @@ fn warn_of(info: &DatasetInfo, context: &Context) {
     }
 }
 
-/// A normalized reference, and what is known about it.
-struct Loaded {
-    reference: Reference,
-    prepared: Prepared,
-    fingerprint: String,
-    steps: StepNumbers,
-    saved: Option<SavedIndex>,
-}
-
-/// Takes the reference from the index, or reads and normalizes the dataset.
-fn load_reference(
-    inputs: &Inputs,
-    centers: Option<&Centers>,
-    job: &Job,
-    context: &Context,
-) -> Result<Loaded> {
-    let (source, columns) = (&*inputs.dataset, &inputs.columns);
-    if let Some(path) = &job.index {
-        let request = Request {
-            source,
-            options: &job.dataset_options,
-            columns,
-            settings: &job.settings,
-            centers,
-        };
-        let indexed = indexed::open(path, &request, context)?;
-        return Ok(Loaded {
-            reference: indexed.reference,
-            prepared: indexed.prepared,
-            fingerprint: indexed.saved.about().dataset.fingerprint.clone(),
-            steps: indexed.numbers,
-            saved: Some(indexed.saved),
-        });
-    }
-    let (data, steps) = load::dataset(source, columns, context)?.into_parts();
-    Ok(Loaded {
-        fingerprint: data.fingerprint(),
-        reference: Reference::new(data)?,
-        prepared: Prepared::default(),
-        steps,
-        saved: None,
-    })
-}
-
-/// Builds the search over the dataset.
-fn fit(inputs: &Inputs, job: &Job, context: &Context) -> Result<Fitted> {
-    let settings = &job.settings;
-    let info = inputs.dataset.info();
-    let columns = &inputs.columns;
-    let centers = read_centers(settings, columns.indices.len())?;
-    let loaded = load_reference(inputs, centers.as_ref(), job, context)?;
-    let reference = loaded.reference;
-    let dataset = DatasetPart {
-        n_episodes: reference.episodes().len(),
-        n_steps: reference.states().n_rows(),
-        fingerprint: loaded.fingerprint,
-        ..DatasetPart::new(&inputs.dataset_name, info)
-    };
-    let mut parameters = Parameters::new(settings, columns, reference.actions().n_features());
-    let working = match (settings.search, &centers, &loaded.prepared.clusters) {
-        (Search::Clusters, None, None) => "fitting the clusters",
-        _ => "building the search",
-    };
-    let progress = context.spinner(working.to_owned());
-    let given = centers.as_ref().map(|centers| centers.values.clone());
-    let n_steps = inputs
-        .rollouts
-        .iter()
-        .map(|file| file.source.info().n_steps);
-    let mut params = settings.params(given);
-    if let Some(n_steps) = n_steps.sum::<Option<u64>>() {
-        params = params.n_queries(usize::try_from(n_steps)?);
-    }
-    let ksim = params
-        .fit_prepared(reference, loaded.prepared)
-        .with_context(|| info.path.display().to_string())?;
-    let exact = settings
-        .approximation_error
-        .then(|| ksim.with_search(Search::Auto))
-        .transpose()?;
-    drop(progress);
-    let mut search = SearchPart::new(settings, centers.as_ref(), &ksim);
-    search.index = job.index.as_ref().map(|path| path.display().to_string());
-    parameters.n_clusters = search.clusters.as_ref().map(|clusters| clusters.n_clusters);
-    let fingerprint = fingerprint(&dataset, &parameters, &search, centers.as_ref());
-    Ok(Fitted {
-        ksim,
-        exact,
-        _saved: loaded.saved,
-        steps: loaded.steps,
-        dataset,
-        parameters,
-        search,
-        fingerprint,
-    })
-}
-
-fn read_centers(settings: &Settings, width: usize) -> Result<Option<Centers>> {
-    let Some(file) = &settings.centers else {
-        return Ok(None);
-    };
-    let centers = file.read(width)?;
-    let found = centers.values.len() / width;
-    if settings.n_clusters_given && found != settings.n_clusters {
-        bail!(
-            "{}: tensor \"{}\" holds {found} centers, expected {} as --n-clusters says",
-            file.path.display(),
-            centers.tensor,
-            settings.n_clusters
-        );
-    }
-    Ok(Some(centers))
-}
-
 fn score_all(
     inputs: &Inputs,
     fitted: &Fitted,
     job: &Job,
     context: &Context,
+    visit: &mut Visit<'_>,
 ) -> Result<Vec<RolloutResult>> {
     let labels = Labels {
         file: inputs.rollouts.len() > 1,
@@ -289,14 +254,15 @@ fn score_all(
         .map(|path| PerStepWriter::create(path, labels))
         .transpose()?;
     let mut results = Vec::new();
-    for RolloutFile {
-        name: file,
-        source,
-        columns,
-    } in &inputs.rollouts
-    {
+    for (place, rollouts) in inputs.rollouts.iter().enumerate() {
+        let RolloutFile {
+            name: file,
+            source,
+            columns,
+        } = rollouts;
         let path = source.info().path.display();
-        for steps in load::rollouts(&**source, columns, context)? {
+        let groups = load::rollouts(&**source, columns, context)?;
+        for (group, steps) in groups.into_iter().enumerate() {
             let (mut result, report) = score_one(file, &steps, fitted, (&job.settings, context))
                 .with_context(|| path.to_string())?;
             let of_reader = source.info().warnings.iter().map(ToString::to_string);
@@ -316,6 +282,12 @@ fn score_all(
                 })?;
             }
             results.push(result);
+            visit(ScoredRollouts {
+                file: place,
+                group,
+                steps,
+                report,
+            })?;
         }
     }
     per_step.map(PerStepWriter::finish).transpose()?;

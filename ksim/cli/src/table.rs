@@ -163,7 +163,7 @@ fn headline(document: &Document) -> String {
 }
 
 /// Names of the rows: the file's name alone where no other file has the same.
-fn labels(results: &[RolloutResult]) -> Vec<String> {
+pub(crate) fn labels(results: &[RolloutResult]) -> Vec<String> {
     let name = |file: &str| file.rsplit('/').next().unwrap_or(file).to_owned();
     let is_unique = |file: &str| {
         results

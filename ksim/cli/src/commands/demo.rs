@@ -73,6 +73,7 @@ pub(crate) fn run(args: &DemoArgs, context: &Context) -> Result<CommandOutcome> 
         rollout_options: OpenOptions::default(),
         settings: Settings::default(),
         per_step: None,
+        output: None,
     };
     let (mut document, outcome) = scoring::run(&job, context)?;
     // The folder is gone when the user reads this: the names are what the user can export.

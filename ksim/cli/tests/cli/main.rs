@@ -11,11 +11,14 @@ mod golden;
 mod index;
 #[cfg(feature = "mcap")]
 mod mcap;
+#[cfg(feature = "mcap")]
+mod overlay;
 mod pairing;
 mod planner;
 mod planner_import;
 mod plot;
 mod process;
+mod report;
 mod rollout;
 mod score;
 #[cfg(feature = "download")]
@@ -26,3 +29,4 @@ mod server;
 mod torch_save;
 mod usage;
 mod validate;
+mod watch;

@@ -10,6 +10,10 @@ use crate::formats::mcap::numbered::STEP_TOPIC;
 use crate::schema;
 use crate::sink::{Loss, LossEffect};
 
+/// Roots of the columns that `ksim export` adds: the scores of a step, and the step it was matched with.
+const K_SIM: &str = "info.k_sim";
+const DEMONSTRATION: &str = "info.demonstration";
+
 /// Columns that are written in one message.
 #[derive(Debug, Clone)]
 pub(super) struct Group {
@@ -43,6 +47,8 @@ pub(super) fn groups(table: &Schema) -> (Vec<Group>, Vec<Loss>) {
         ("/observation", "Observation"),
         ("/action", "Action"),
         ("/info", "Info"),
+        ("/k_sim", "KSim"),
+        ("/demonstration", "Demonstration"),
     ]
     .map(|(topic, message)| Group {
         topic,
@@ -93,6 +99,12 @@ fn section(column: &str) -> Option<(usize, String)> {
         let key = toml::Value::String(rest.strip_prefix('.').unwrap_or(rest).to_owned());
         Some(format!("{root}.{key}"))
     };
+    // Of what scores record, viewers show every part on a topic of its own.
+    for (group, root) in [(4, K_SIM), (5, DEMONSTRATION)] {
+        if schema::belongs_to(column, root) {
+            return Some((group, named(schema::INFO)?));
+        }
+    }
     match column {
         schema::EPISODE_INDEX | schema::STEP_INDEX | schema::T_NS => Some((0, String::new())),
         schema::REWARD | schema::TERMINATED | schema::TRUNCATED => Some((0, column.to_owned())),
@@ -160,7 +172,13 @@ impl Member {
 
 /// A name that every encoding allows.
 fn identifier(column: &str) -> String {
-    let roots = [schema::OBSERVATION, schema::ACTION, schema::INFO];
+    let roots = [
+        schema::OBSERVATION,
+        schema::ACTION,
+        K_SIM,
+        DEMONSTRATION,
+        schema::INFO,
+    ];
     let short = roots
         .iter()
         .find_map(|root| column.strip_prefix(root)?.strip_prefix('.'));

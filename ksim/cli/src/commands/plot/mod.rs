@@ -1,7 +1,6 @@
 //! `ksim plot`: figures.
 
 mod episodes;
-mod novelty;
 mod paths;
 mod step_scores;
 

@@ -12,12 +12,13 @@ use ksim_envs::maze::Maze;
 use ksim_envs::registry::{self, EnvironmentRequest};
 
 use super::episodes::read;
-use super::novelty::novelties;
 use super::step_scores::StepScores;
 use crate::atomic::{self, AtomicFile};
 use crate::commands::convert::episode_range;
 use crate::context::Context;
 use crate::data_args::{self, DataArgs};
+use crate::mazes::maze_of;
+use crate::novelty::novelties;
 use crate::outcome::CommandOutcome;
 use crate::rollout_args::of_dataset;
 
@@ -186,13 +187,7 @@ fn maze(args: &PathsArgs, info: &DatasetInfo) -> Result<Maze> {
                 .request
         }
     };
-    let known = registry::find(&request.id)?;
-    let map = request
-        .kwargs
-        .get("maze_map")
-        .or_else(|| known.kwargs.get("maze_map"));
-    let map = map.with_context(|| format!("environment `{}` has no maze", known.id))?;
-    Ok(Maze::from_json(map)?)
+    maze_of(&request)
 }
 
 #[cfg(test)]

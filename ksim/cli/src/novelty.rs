@@ -14,7 +14,7 @@ const NOVELTY: &str = "info.novelty";
 ///
 /// # Errors
 /// The file has no such column, or it is empty: the planner knows no novelty.
-pub(super) fn novelties(
+pub(crate) fn novelties(
     source: &dyn DatasetSource,
     chosen: &[EpisodeRecord],
 ) -> Result<Vec<Vec<f64>>> {

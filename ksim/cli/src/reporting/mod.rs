@@ -1,0 +1,249 @@
+//! From scored rollouts to the page of `ksim report`.
+
+mod facts;
+mod map;
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use ksim_bench_harness::page::{
+    EpisodeFacts, Group, HeldOut, HeldOutPart, Histogram, Kept, MAX_EPISODES, Page, ReferencePart,
+    Scored, StepColumns, stride, worst,
+};
+use ksim_envs::maze::Maze;
+use serde_json::Value;
+
+use self::facts::Facts;
+use self::map::Drawn;
+use crate::context::Context;
+use crate::document::{DatasetPart, Document, RolloutResult};
+use crate::scoring::{Job, ScoredRollouts, Session};
+use crate::table;
+
+/// What a page is made of.
+pub(crate) struct Request<'a> {
+    /// The job.
+    pub(crate) job: &'a Job,
+    /// Its files, and the dataset.
+    pub(crate) session: &'a Session,
+    /// The maze that the rollouts went through.
+    pub(crate) maze: Option<Maze>,
+    /// Progress.
+    pub(crate) context: &'a Context,
+}
+
+/// Collects everything that the page shows.
+///
+/// # Errors
+/// More episodes than a page holds; what the readers and the engine object to.
+pub(crate) fn page(request: &Request<'_>) -> Result<Page> {
+    let Request {
+        job,
+        session,
+        context,
+        ..
+    } = request;
+    let mut rollouts: Vec<ScoredRollouts> = Vec::new();
+    let mut n_episodes = 0;
+    let results = session.score(job, context, &mut |scored| {
+        n_episodes += scored.report.episodes.len();
+        if n_episodes > MAX_EPISODES {
+            bail!(
+                "{}: with it there are {n_episodes} episodes, a page holds {MAX_EPISODES}: take fewer, \
+                 such as by `ksim convert --episodes`",
+                session.files()[scored.file].name
+            );
+        }
+        rollouts.push(scored);
+        Ok(())
+    })?;
+    let mut document = session.document(results, context);
+    document.dataset.name = without_folder(&document.dataset);
+    let labels = table::labels(&document.results);
+    let reference_number =
+        |row: usize, position: usize| session.reference_numbers().number(row, position);
+    let numbers: Vec<_> = rollouts
+        .iter()
+        .map(|one| move |row: usize, position: usize| one.steps.number(row, position))
+        .collect();
+    let scored: Vec<Scored<'_>> = rollouts
+        .iter()
+        .zip(&numbers)
+        .map(|(one, number)| Scored {
+            ksim: session.ksim(),
+            trajectories: &one.steps.trajectories,
+            report: &one.report,
+            number,
+            reference_number: &reference_number,
+        })
+        .collect();
+    let lengths: Vec<usize> = scored
+        .iter()
+        .flat_map(|one| one.episodes().map(|episode| episode.rows.len()))
+        .collect();
+    let stride = stride(&lengths);
+    let kept: Vec<Kept> = scored.iter().map(|one| Kept::new(one, stride)).collect();
+    let facts = facts::collect(session, &rollouts)?;
+    let drawn = Drawn::new(request, (&scored, &kept), &rollouts)?;
+    let working = context.spinner("holding out demonstrations".to_owned());
+    let held_out = HeldOut::score(session.ksim(), job.settings.seed);
+    drop(working);
+    let histogram = histogram(&scored, held_out.as_ref().ok());
+    let mut reference = ReferencePart::default();
+    let mut groups = Vec::with_capacity(scored.len());
+    for (place, one) in scored.iter().enumerate() {
+        let steps = StepColumns::new(
+            one,
+            &kept[place],
+            &drawn.places(place),
+            facts[place].novelty.as_deref(),
+            &mut reference,
+        );
+        groups.push(Group {
+            label: labels[place].clone(),
+            episodes: episodes(one, &facts[place], drawn.goals(place)),
+            histogram: histogram.counts(distances(one)),
+            steps,
+        });
+    }
+    let mut notes = notes(lengths.iter().sum(), stride);
+    notes.extend(drawn.note.clone());
+    Ok(Page {
+        format: Page::FORMAT,
+        title: title(&labels, &document.dataset.name),
+        document: stripped(&document)?,
+        groups,
+        histogram,
+        held_out_missing: match &held_out {
+            Ok(_) => String::new(),
+            Err(why) => format!("No demonstrations are held out to compare with: {why}."),
+        },
+        held_out: held_out
+            .ok()
+            .map(|held| held_out_part(&held, &scored[0], job, &histogram)),
+        reference,
+        map: drawn.map,
+        palettes: Default::default(),
+        worst: worst(&scored, session.state_names()),
+        notes,
+    })
+}
+
+/// d/√d of all steps.
+fn distances<'a>(scored: &'a Scored<'_>) -> impl Iterator<Item = f64> + 'a {
+    scored
+        .report
+        .steps
+        .iter()
+        .map(|step| scored.scaled(step)[0])
+}
+
+fn histogram(scored: &[Scored<'_>], held_out: Option<&HeldOut>) -> Histogram {
+    let held = held_out.into_iter().flat_map(|held| &held.report.steps);
+    let held = held.map(|step| scored[0].scaled(step)[0]);
+    Histogram::covering(scored.iter().flat_map(distances).chain(held))
+}
+
+fn held_out_part(
+    held: &HeldOut,
+    any: &Scored<'_>,
+    job: &Job,
+    histogram: &Histogram,
+) -> HeldOutPart {
+    let report = &held.report;
+    HeldOutPart {
+        n_episodes: report.episodes.len(),
+        n_steps: report.steps.len(),
+        seed: job.settings.seed,
+        k_sim: report.state_action.pooled,
+        mean_scaled_distance: report.mean_scaled_distance,
+        histogram: histogram.counts(report.steps.iter().map(|step| any.scaled(step)[0])),
+    }
+}
+
+fn episodes(scored: &Scored<'_>, facts: &Facts, goals: Option<Vec<Vec<[f64; 2]>>>) -> EpisodeFacts {
+    let all = &scored.report.episodes;
+    EpisodeFacts {
+        episode_index: all.iter().map(|one| one.episode_index).collect(),
+        n_steps: all.iter().map(|one| one.n_steps).collect(),
+        k_sim: all.iter().map(|one| one.k_sim).collect(),
+        k_sim_state: all.iter().map(|one| one.k_sim_state).collect(),
+        k_sim_action: all.iter().map(|one| one.k_sim_action).collect(),
+        saturated_share: all.iter().map(|one| one.saturated_share).collect(),
+        mean_scaled_distance: all.iter().map(|one| one.mean_scaled_distance).collect(),
+        total_return: known(&facts.total_return),
+        success: known(&facts.success),
+        goals,
+    }
+}
+
+/// The values, if there are any.
+fn known<T: Copy>(values: &[Option<T>]) -> Option<Vec<Option<T>>> {
+    values.iter().any(Option::is_some).then(|| values.to_vec())
+}
+
+/// `K-Sim of a.parquet, b.parquet and 3 more against NAME`.
+fn title(labels: &[String], dataset: &str) -> String {
+    const NAMED: usize = 4;
+    let named = match labels {
+        few if few.len() <= NAMED => few.join(", "),
+        many => format!(
+            "{} and {} more",
+            many[..NAMED].join(", "),
+            many.len() - NAMED
+        ),
+    };
+    format!("K-Sim of {named} against {dataset}")
+}
+
+/// The name of a dataset; of one that was given by its path only the last part, since the page is for others.
+fn without_folder(dataset: &DatasetPart) -> String {
+    let name = &dataset.name;
+    let is_path = *name == dataset.path || name.starts_with(['/', '.', '~']);
+    let last = Path::new(name).file_name().filter(|_| is_path);
+    last.map_or_else(|| name.clone(), |last| last.to_string_lossy().into_owned())
+}
+
+/// The document without what is elsewhere on the page, what differs from run to run, and places on the machine.
+fn stripped(document: &Document) -> Result<Value> {
+    let results: Vec<RolloutResult> = document.results.clone();
+    let mut value = serde_json::to_value(Document {
+        results: Vec::new(),
+        ..document.clone()
+    })?;
+    let mut stripped = Vec::with_capacity(results.len());
+    for mut result in results {
+        result.episodes.clear();
+        let mut result = serde_json::to_value(result)?;
+        if let Some(fields) = result.as_object_mut() {
+            fields.retain(|name, _| !["file", "episodes", "elapsed_s"].contains(&name.as_str()));
+        }
+        stripped.push(result);
+    }
+    if let Some(fields) = value.as_object_mut() {
+        fields.retain(|name, _| !["threads", "elapsed_s"].contains(&name.as_str()));
+        fields.insert("results".to_owned(), Value::Array(stripped));
+    }
+    for (part, field) in [("dataset", "path"), ("search", "index")] {
+        if let Some(fields) = value.get_mut(part).and_then(Value::as_object_mut) {
+            fields.retain(|name, _| name != field);
+        }
+    }
+    Ok(value)
+}
+
+fn notes(n_steps: usize, stride: usize) -> Vec<String> {
+    let mut notes = vec![
+        "Tables have the numbers of `ksim score --format json`, shown to four decimals; the full number is \
+         behind every cell. Distances of single steps are kept in single precision, and their K-Sim is computed \
+         from them. Places on the map are kept to 1/65535 of its width."
+            .to_owned(),
+    ];
+    if stride > 1 {
+        notes.push(format!(
+            "There are {n_steps} steps, too many for one page: of every {stride} steps of an episode it has the one \
+             farthest from the data. Aggregates, histograms and the worst steps are of all steps."
+        ));
+    }
+    notes
+}
