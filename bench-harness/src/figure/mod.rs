@@ -2,6 +2,7 @@
 
 mod chart;
 pub mod curve;
+pub mod lines;
 mod panel;
 pub mod paths;
 mod scale;

@@ -112,6 +112,14 @@ impl Histogram {
         }
     }
 
+    /// Ends of the bins, ascending.
+    pub fn edges(&self) -> Vec<f64> {
+        let width = (self.high - self.low) / self.n as f64;
+        (0..=self.n)
+            .map(|bin| self.low + width * bin as f64)
+            .collect()
+    }
+
     /// Numbers per bin.
     pub fn counts(&self, distances: impl Iterator<Item = f64>) -> Vec<u64> {
         let mut counts = vec![0; self.n];

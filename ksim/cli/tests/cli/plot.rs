@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use arrow::array::{ArrayRef, Float64Array, Int64Array};
 
-use crate::process::{ksim, list, write_parquet};
+use crate::process::{Demo, ksim, list, write_parquet};
 
 /// Two episodes of three steps through the U-shaped maze, without a word on their environment.
 fn walk(path: &str) {
@@ -117,4 +117,129 @@ fn scores_of_steps_color_the_paths() {
     std::fs::copy(&from, &other).unwrap();
     score(&[&from, &other]);
     plot().failed(1, &["scores of several rollouts"]);
+}
+
+#[test]
+fn timelines_and_distributions_are_drawn_of_what_is_scored() {
+    let demo = Demo::new();
+    let (good, noisy, dataset) = (
+        demo.at("good.parquet"),
+        demo.at("noisy.parquet"),
+        demo.at("dataset.parquet"),
+    );
+    let plot = |what: &str, out: &str, flags: &[&str]| {
+        let start = [
+            "plot",
+            what,
+            &good,
+            &noisy,
+            "--dataset",
+            &dataset,
+            "-o",
+            out,
+        ];
+        ksim(start.iter().chain(flags))
+    };
+    let drawn = |what: &str, flags: &[&str]| {
+        let out = demo.at("figure.svg");
+        let run = plot(what, &out, flags);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        std::fs::read_to_string(out).unwrap()
+    };
+    let timeline = drawn("timeline", &[]);
+    assert_eq!(timeline, drawn("timeline", &[]));
+    for part in [
+        "K-Sim, mean over episodes",
+        "Saturated steps",
+        "good.parquet",
+        "noisy.parquet",
+    ] {
+        assert!(timeline.contains(part), "{part}");
+    }
+    let episodes = drawn("timeline", &["--episodes", "0-2"]);
+    assert!(episodes.contains("good.parquet 2") && !episodes.contains("good.parquet 3"));
+    let distribution = drawn("distribution", &[]);
+    assert!(distribution.contains("held-out data") && distribution.contains("stroke-dasharray"));
+
+    let none = demo.at("none.svg");
+    plot("timeline", &none, &["--episodes", "77"])
+        .failed(1, &["none of the rollouts has such an episode"]);
+    plot("timeline", &none, &["--episodes", "0-3"]).failed(1, &["8 lines are too many"]);
+    plot("timeline", &demo.at("none.gif"), &[]).failed(1, &["ends in .svg, .png or .pdf"]);
+    assert_eq!(demo.others(), [std::path::PathBuf::from("figure.svg")]);
+}
+
+#[test]
+fn tables_say_what_score_says_in_three_languages() {
+    let demo = Demo::new();
+    let score = demo
+        .score(&["good.parquet", "random.parquet"], &["--format", "json"])
+        .json();
+    let table = |ending: &str| {
+        let out = demo.at(&format!("table.{ending}"));
+        let (good, random) = (demo.at("good.parquet"), demo.at("random.parquet"));
+        let run = ksim([
+            "plot",
+            "tables",
+            &good,
+            &random,
+            "--dataset",
+            &demo.at("dataset.parquet"),
+            "-o",
+            &out,
+        ]);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        std::fs::read_to_string(out).unwrap()
+    };
+    let csv = table("csv");
+    let rows: Vec<&str> = csv.lines().collect();
+    let names: Vec<&str> = rows[0].split(',').collect();
+    assert_eq!(rows.len(), 3);
+    for (place, row) in rows[1..].iter().enumerate() {
+        let result = &score["results"][place];
+        for (name, cell) in names.iter().zip(row.split(',')).skip(3) {
+            let value = match *name {
+                "low_95" => &result["interval_95"][0],
+                "high_95" => &result["interval_95"][1],
+                name => &result[name],
+            };
+            assert_eq!(
+                cell.parse::<f64>().unwrap(),
+                value.as_f64().unwrap(),
+                "{name}"
+            );
+        }
+    }
+    let k_sim = format!("{:.3}", score["results"][0]["k_sim"].as_f64().unwrap());
+    let markdown = table("md");
+    assert!(
+        markdown.contains(&format!("| good.parquet | 4 | 1200 | {k_sim} |")),
+        "{markdown}"
+    );
+    let latex = table("tex");
+    assert!(
+        latex.contains(&format!("good.parquet & 4 & 1200 & {k_sim} &")),
+        "{latex}"
+    );
+    assert!(
+        latex.contains("\\,\\%") && latex.ends_with("\\end{tabular}\n"),
+        "{latex}"
+    );
+    ksim(["plot", "tables", "x", "--dataset", "y", "-o", "table.txt"])
+        .failed(1, &[".md, .tex or .csv"]);
+}
+
+#[test]
+fn curves_of_lambda_are_drawn_from_the_report_of_their_benchmark() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let run_dir = at("");
+    ksim(["plot", "lambda", &run_dir, "-o", &at("a.svg")]).failed(1, &["report.json"]);
+    let entry = |value: f64| serde_json::json!({ "environment": "maze", "summary": { "total_return": { "value": value, "interval": null } } });
+    let report = serde_json::json!({ "suite": "s", "episodes": 2, "lambdas": [0.0, 100.0], "results": [entry(1.0), entry(3.0)] });
+    std::fs::write(at("report.json"), report.to_string()).unwrap();
+    let run = ksim(["plot", "lambda", &run_dir, "-o", &at("a.svg")]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let svg = std::fs::read_to_string(at("a.svg")).unwrap();
+    assert!(svg.contains("1e2") && svg.contains("return"), "{svg}");
 }

@@ -5,16 +5,15 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
-use ksim_bench_harness::figure::curve::{Across, Curve, Point, Scale, draw};
 use ksim_bench_harness::report::{Entry, Report, SWEEP, json, markdown};
 use ksim_bench_harness::run_dir::RunDir;
-use ksim_bench_harness::stats::Estimate;
 use ksim_bench_harness::suite::{EnvironmentEntry, PlannerEntry, Suite};
 use serde_json::{Value, json as object};
 
 use super::planners::played;
 use crate::atomic;
 use crate::context::Context;
+use crate::lambda_figure::{self, lambda_name};
 use crate::outcome::CommandOutcome;
 use crate::output::{self, OutputFormat};
 
@@ -94,30 +93,14 @@ pub(super) fn run(args: &LambdaBenchArgs, context: &Context) -> Result<CommandOu
         return Ok(CommandOutcome::Done);
     };
     let report = Report::new(&suite, &played);
-    let heading = format!(
-        "{} in {}, {} episodes for each λ",
-        args.run.display(),
-        suite.environments[0].name,
-        args.episodes
-    );
-    let names: Vec<String> = args
-        .lambdas
-        .iter()
-        .map(|lambda| lambda_name(*lambda))
-        .collect();
-    let figure = draw(
-        &heading,
-        "λ",
-        &Across::Names(&names),
-        &curves(&report.entries),
-    )
-    .context("cannot draw the curves")?;
-    let figure = run_dir.write_text("lambda.svg", &figure)?;
     let text = markdown(&report) + &paper(&report.entries);
     run_dir.write_text("report.md", &text)?;
     let mut document = json(&report, &played);
     if let Value::Object(document) = &mut document {
         document.insert("lambdas".to_owned(), object!(args.lambdas));
+    }
+    let figure = run_dir.write_text("lambda.svg", &lambda_figure::of_report(&document)?)?;
+    if let Value::Object(document) = &mut document {
         document.insert("figure".to_owned(), object!(figure.display().to_string()));
     }
     let pretty = serde_json::to_string_pretty(&document).context("cannot write the report")?;
@@ -129,14 +112,6 @@ pub(super) fn run(args: &LambdaBenchArgs, context: &Context) -> Result<CommandOu
         OutputFormat::Json => output::json(&document)?,
     }
     Ok(CommandOutcome::Done)
-}
-
-/// `λ = 1e3`, in a form that is also the name of a file.
-fn lambda_name(lambda: f64) -> String {
-    match lambda {
-        0.0 => "0".to_owned(),
-        _ => format!("{lambda:e}"),
-    }
 }
 
 /// A suite with a planner for every weight.
@@ -184,45 +159,6 @@ fn suite(args: &LambdaBenchArgs) -> Result<Suite> {
         planners: args.lambdas.iter().map(planner).collect::<Result<_>>()?,
         folder: PathBuf::new(),
     })
-}
-
-/// Takes a number of an entry.
-type Measure = fn(&Entry) -> Option<Estimate>;
-
-/// A curve for everything that is known for every weight.
-fn curves(entries: &[Entry]) -> Vec<Curve> {
-    let measures: [(&str, Measure); 6] = [
-        ("success at any step", |entry| {
-            Some(entry.summary.success?.ever)
-        }),
-        ("success at the last step", |entry| {
-            Some(entry.summary.success?.at_end)
-        }),
-        ("return", |entry| Some(entry.summary.total_return)),
-        ("normalized score", |entry| entry.summary.normalized_score),
-        ("K-Sim, mean of episodes", |entry| {
-            Some(entry.k_sim?.k_sim_episode_mean)
-        }),
-        ("novelty of the plans", |entry| entry.novelty),
-    ];
-    let curve = |(title, measure): (&str, Measure)| {
-        // Without curiosity a planner knows no novelty: the curve begins with the first weight that has it.
-        let points = entries.iter().enumerate().filter_map(|(place, entry)| {
-            let estimate = measure(entry)?;
-            Some(Point {
-                x: place as f64,
-                y: estimate.value,
-                interval: estimate.interval,
-            })
-        });
-        let points: Vec<Point> = points.collect();
-        (!points.is_empty()).then(|| Curve {
-            title: title.to_owned(),
-            scale: Scale::Linear,
-            points,
-        })
-    };
-    measures.into_iter().filter_map(curve).collect()
 }
 
 /// What the paper has for the same task.

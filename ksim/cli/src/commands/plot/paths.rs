@@ -1,6 +1,5 @@
 //! `ksim plot paths`: the way of an agent through a maze.
 
-use std::io::Write as _;
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -13,10 +12,11 @@ use ksim_envs::registry::{self, EnvironmentRequest};
 
 use super::episodes::read;
 use super::step_scores::StepScores;
-use crate::atomic::{self, AtomicFile};
+use crate::atomic;
 use crate::commands::convert::episode_range;
 use crate::context::Context;
 use crate::data_args::{self, DataArgs};
+use crate::figure_file;
 use crate::mazes::maze_of;
 use crate::novelty::novelties;
 use crate::outcome::CommandOutcome;
@@ -35,8 +35,8 @@ pub(crate) struct PathsArgs {
     /// Rollouts, or any dataset with positions in observation.achieved_goal or info.qpos
     #[arg(value_name = "ROLLOUTS")]
     rollouts: String,
-    /// The figure to write
-    #[arg(short, long, value_name = "FILE.svg")]
+    /// The figure to write: .svg, or .png or .pdf in a build with feature `figures`
+    #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Episodes to draw: numbers, 3-7 with both ends, 3..8 without the last [default: the first 12]
     #[arg(long, value_name = "0,3-7", value_delimiter = ',', value_parser = episodes)]
@@ -84,7 +84,7 @@ impl From<LayoutArg> for Layout {
 }
 
 /// Numbers, and ranges in both spellings.
-fn episodes(text: &str) -> Result<Range<i64>> {
+pub(super) fn episodes(text: &str) -> Result<Range<i64>> {
     match text.split_once('-') {
         Some((first, last)) if !first.is_empty() => {
             let one = |text: &str| text.parse::<i64>().with_context(|| format!("\"{text}\""));
@@ -101,6 +101,7 @@ fn episodes(text: &str) -> Result<Range<i64>> {
 /// Draws and writes.
 pub(super) fn run(args: &PathsArgs, context: &Context) -> Result<CommandOutcome> {
     atomic::check_target(&args.output)?;
+    figure_file::check(&args.output)?;
     let (resolved, source) = data_args::open(&args.rollouts, &args.data.open_options())?;
     let inputs = [Some(resolved.path.as_path()), args.per_step.as_deref()];
     atomic::check_not_an_input(&args.output, inputs.into_iter().flatten())?;
@@ -131,10 +132,7 @@ pub(super) fn run(args: &PathsArgs, context: &Context) -> Result<CommandOutcome>
     }
     let svg = draw_by(&heading, &maze, &paths, args.layout.into(), measure)
         .with_context(|| info.path.display().to_string())?;
-    let mut file = AtomicFile::create(&args.output)?;
-    let written = file.write_all(svg.as_bytes());
-    written.with_context(|| format!("cannot write {}", args.output.display()))?;
-    file.publish()?;
+    figure_file::write(&args.output, &svg)?;
     Ok(CommandOutcome::of([info]))
 }
 
