@@ -53,9 +53,12 @@ pub(crate) fn run(args: &ScoreArgs, context: &Context) -> Result<CommandOutcome>
         ..args.scoring.job(&args.rollouts)?
     };
     let session = Session::open(&job, context)?;
+    let draws = args.format == OutputFormat::Text && args.sparkline.is_now();
     let mut lines = Vec::new();
     let results = session.score(&job, context, &mut |scored| {
-        lines.push(episodes(&scored));
+        if draws {
+            lines.push(episodes(&scored));
+        }
         Ok(())
     })?;
     let mut document = session.document(results, context);
@@ -63,11 +66,9 @@ pub(crate) fn run(args: &ScoreArgs, context: &Context) -> Result<CommandOutcome>
     match args.format {
         OutputFormat::Text => {
             let mut text = table::score(&document);
-            if args.sparkline.is_now() {
-                let labels = table::labels(&document.results);
-                for (label, lines) in labels.iter().zip(lines) {
-                    text += &format!("\n{label}\n{lines}");
-                }
+            let labels = table::labels(&document.results);
+            for (label, lines) in labels.iter().zip(lines) {
+                text += &format!("\n{label}\n{lines}");
             }
             output::text(&text)?;
         }

@@ -6,6 +6,7 @@ mod map;
 use std::path::Path;
 
 use anyhow::{Result, bail};
+use ksim_bench_harness::figure::Palettes;
 use ksim_bench_harness::page::{
     EpisodeFacts, Group, HeldOut, HeldOutPart, Histogram, Kept, MAX_EPISODES, Page, ReferencePart,
     Scored, StepColumns, stride, worst,
@@ -37,29 +38,8 @@ pub(crate) struct Request<'a> {
 /// # Errors
 /// More episodes than a page holds; what the readers and the engine object to.
 pub(crate) fn page(request: &Request<'_>) -> Result<Page> {
-    let Request {
-        job,
-        session,
-        context,
-        ..
-    } = request;
-    let mut rollouts: Vec<ScoredRollouts> = Vec::new();
-    let mut n_episodes = 0;
-    let results = session.score(job, context, &mut |scored| {
-        n_episodes += scored.report.episodes.len();
-        if n_episodes > MAX_EPISODES {
-            bail!(
-                "{}: with it there are {n_episodes} episodes, a page holds {MAX_EPISODES}: take fewer, \
-                 such as by `ksim convert --episodes`",
-                session.files()[scored.file].name
-            );
-        }
-        rollouts.push(scored);
-        Ok(())
-    })?;
-    let mut document = session.document(results, context);
-    document.dataset.name = without_folder(&document.dataset);
-    let labels = table::labels(&document.results);
+    let session = request.session;
+    let (rollouts, document) = score(request)?;
     let reference_number =
         |row: usize, position: usize| session.reference_numbers().number(row, position);
     let numbers: Vec<_> = rollouts
@@ -77,41 +57,71 @@ pub(crate) fn page(request: &Request<'_>) -> Result<Page> {
             reference_number: &reference_number,
         })
         .collect();
+    assemble(request, &rollouts, &scored, &document)
+}
+
+/// Scores all rollouts, and names the dataset for others to read.
+fn score(request: &Request<'_>) -> Result<(Vec<ScoredRollouts>, Document)> {
+    let session = request.session;
+    let mut rollouts: Vec<ScoredRollouts> = Vec::new();
+    let mut n_episodes = 0;
+    let results = session.score(request.job, request.context, &mut |scored| {
+        n_episodes += scored.report.episodes.len();
+        if n_episodes > MAX_EPISODES {
+            bail!(
+                "{}: with it there are {n_episodes} episodes, a page holds {MAX_EPISODES}: take fewer, \
+                 such as by `ksim convert --episodes`",
+                session.files()[scored.file].name
+            );
+        }
+        rollouts.push(scored);
+        Ok(())
+    })?;
+    let mut document = session.document(results, request.context);
+    document.dataset.name = without_folder(&document.dataset);
+    Ok((rollouts, document))
+}
+
+fn assemble(
+    request: &Request<'_>,
+    rollouts: &[ScoredRollouts],
+    scored: &[Scored<'_>],
+    document: &Document,
+) -> Result<Page> {
+    let Request { job, session, .. } = request;
+    let labels = table::labels(&document.results);
     let lengths: Vec<usize> = scored
         .iter()
         .flat_map(|one| one.episodes().map(|episode| episode.rows.len()))
         .collect();
     let stride = stride(&lengths);
     let kept: Vec<Kept> = scored.iter().map(|one| Kept::new(one, stride)).collect();
-    let facts = facts::collect(session, &rollouts)?;
-    let drawn = Drawn::new(request, (&scored, &kept), &rollouts)?;
-    let working = context.spinner("holding out demonstrations".to_owned());
+    let facts = facts::collect(session, rollouts)?;
+    let drawn = Drawn::new(request, (scored, &kept), rollouts)?;
+    let working = request
+        .context
+        .spinner("holding out demonstrations".to_owned());
     let held_out = HeldOut::score(session.ksim(), job.settings.seed);
     drop(working);
-    let histogram = histogram(&scored, held_out.as_ref().ok());
+    let histogram = histogram(scored, held_out.as_ref().ok());
     let mut reference = ReferencePart::default();
-    let mut groups = Vec::with_capacity(scored.len());
-    for (place, one) in scored.iter().enumerate() {
-        let steps = StepColumns::new(
-            one,
-            &kept[place],
-            &drawn.places(place),
-            facts[place].novelty.as_deref(),
-            &mut reference,
-        );
-        groups.push(Group {
+    let group = |(place, one): (usize, &Scored<'_>)| {
+        let novelty = facts[place].novelty.as_deref();
+        let places = drawn.places(place);
+        Group {
             label: labels[place].clone(),
             episodes: episodes(one, &facts[place], drawn.goals(place)),
             histogram: histogram.counts(distances(one)),
-            steps,
-        });
-    }
+            steps: StepColumns::new(one, &kept[place], &places, novelty, &mut reference),
+        }
+    };
+    let groups = scored.iter().enumerate().map(group).collect();
     let mut notes = notes(lengths.iter().sum(), stride);
     notes.extend(drawn.note.clone());
     Ok(Page {
         format: Page::FORMAT,
         title: title(&labels, &document.dataset.name),
-        document: stripped(&document)?,
+        document: stripped(document)?,
         groups,
         histogram,
         held_out_missing: match &held_out {
@@ -123,8 +133,8 @@ pub(crate) fn page(request: &Request<'_>) -> Result<Page> {
             .map(|held| held_out_part(&held, &scored[0], job, &histogram)),
         reference,
         map: drawn.map,
-        palettes: Default::default(),
-        worst: worst(&scored, session.state_names()),
+        palettes: Palettes::default(),
+        worst: worst(scored, session.state_names()),
         notes,
     })
 }

@@ -10,6 +10,9 @@ fn help_names_every_command_and_flag() {
     assert_eq!(root.code, 0);
     for part in [
         "score",
+        "report",
+        "watch",
+        "export",
         "dataset",
         "demo",
         "--threads",
@@ -23,6 +26,7 @@ fn help_names_every_command_and_flag() {
         "--dataset",
         "--format",
         "--per-step",
+        "--sparkline",
         "--definition",
         "--state-columns",
         "--n-clusters",
