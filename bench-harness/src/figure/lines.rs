@@ -9,6 +9,8 @@ use super::{document, px};
 /// Pixels of a panel's plot, and above all panels.
 const SIZE: [f64; 2] = [460.0, 190.0];
 const HEAD: f64 = 26.0;
+/// The color of what others are compared with: the last of the palette.
+const DARK: usize = 6;
 
 /// A panel of lines.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,7 +21,7 @@ pub struct Panel {
     pub x_label: String,
     /// What lies from bottom to top.
     pub y_label: &'static str,
-    /// Its lines, in the order of their colors.
+    /// Its lines, in the order of their colors; dashed ones are dark.
     pub lines: Vec<Line>,
 }
 
@@ -55,7 +57,7 @@ pub fn draw(heading: &str, panels: &[Panel]) -> Option<String> {
 fn chart(panel: &Panel) -> Chart {
     let series = panel.lines.iter().enumerate().map(|(place, line)| Series {
         name: line.name.clone(),
-        color: place,
+        color: if line.is_dashed { DARK } else { place },
         stroke: match line.is_dashed {
             true => Stroke::Dashed,
             false => Stroke::Plain,

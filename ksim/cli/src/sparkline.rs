@@ -48,8 +48,6 @@ pub(crate) fn line(scores: impl ExactSizeIterator<Item = f64>, width: usize) -> 
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-
     #[test]
     fn a_block_is_the_lowest_of_its_steps() {
         let line = |scores: &[f64]| super::line(scores.iter().copied(), 4);

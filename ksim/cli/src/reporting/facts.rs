@@ -35,8 +35,11 @@ pub(super) fn collect(session: &Session, rollouts: &[ScoredRollouts]) -> Result<
         .collect())
 }
 
-/// The records of a file by episode number.
-struct Recorded(BTreeMap<i64, Vec<(EpisodeRecord, Option<Vec<f64>>)>>);
+/// An episode of a file, and the novelty of its steps.
+type Known = (EpisodeRecord, Option<Vec<f64>>);
+
+/// The episodes of a file by number.
+struct Recorded(BTreeMap<i64, Vec<Known>>);
 
 impl Recorded {
     fn new(records: Vec<EpisodeRecord>, novelties: Option<Vec<Vec<f64>>>) -> Self {
@@ -51,7 +54,7 @@ impl Recorded {
     }
 
     /// The one record of an episode, if it is of the same length: planners of one file may number theirs alike.
-    fn one(&self, number: i64, n_steps: usize) -> Option<&(EpisodeRecord, Option<Vec<f64>>)> {
+    fn one(&self, number: i64, n_steps: usize) -> Option<&Known> {
         match self.0.get(&number).map(Vec::as_slice) {
             Some([one]) if one.0.length == n_steps as u64 => Some(one),
             _ => None,

@@ -104,6 +104,7 @@ async function hoveringShowsValues(page) {
   await distances.scrollIntoViewIfNeeded();
   await distances.hover();
   assert.match(await text(page, "#distances .u-legend"), /\d+\.\d\d %/);
+  await page.locator("#outcome circle").scrollIntoViewIfNeeded();
   const dot = await page.locator("#outcome circle").boundingBox();
   await page.mouse.move(dot.x + dot.width / 2, dot.y + dot.height / 2);
   assert.match(await text(page, "#outcome > .tip"), /episode -?\d+: K-Sim/);
@@ -187,6 +188,12 @@ async function darkAndPaper(page, file) {
   await page.emulateMedia({ colorScheme: "light" });
 }
 
+/** However long its names are, a page is no wider than the window. */
+async function isAsWideAsTheWindow(page) {
+  const [width, room] = await page.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
+  assert.ok(width <= room, `${width} of ${room} pixels`);
+}
+
 /** Names are text: what the test put into them is nowhere an element, and nothing of it ran. */
 async function namesAreText(page) {
   assert.equal(await page.evaluate(() => document.querySelectorAll("img, iframe, object, embed, form, link:not([rel=icon])").length), 0);
@@ -223,6 +230,7 @@ for (const name of pages) {
     await keysAreEnough(page);
     await darkAndPaper(page, file);
     await namesAreText(page);
+    await isAsWideAsTheWindow(page);
     assert.deepEqual(page.faults, []);
     console.log(`ok ${name} (opens in ${Math.round(took)} ms)`);
   } catch (error) {

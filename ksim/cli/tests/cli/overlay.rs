@@ -8,18 +8,23 @@ use crate::process::{Demo, Rollouts, column, ksim};
 
 /// The JSON messages on a topic, in order.
 fn messages(file: &str, topic: &str) -> Vec<Value> {
-    let bytes = std::fs::read(file).unwrap();
+    let bytes = std::fs::read(file).expect("it is as the test made it");
     let messages = mcap::MessageStream::new(&bytes)
-        .unwrap()
+        .expect("it is as the test made it")
         .map(Result::unwrap);
     let own = messages.filter(|message| message.channel.topic == topic);
     own.map(|message| {
         assert_eq!(message.channel.message_encoding, "json");
         assert_eq!(
-            message.channel.schema.as_ref().unwrap().encoding,
+            message
+                .channel
+                .schema
+                .as_ref()
+                .expect("it is as the test made it")
+                .encoding,
             "jsonschema"
         );
-        serde_json::from_slice(&message.data).unwrap()
+        serde_json::from_slice(&message.data).expect("it is as the test made it")
     })
     .collect()
 }

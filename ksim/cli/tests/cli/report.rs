@@ -106,13 +106,18 @@ struct World {
 
 impl World {
     fn new() -> Self {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = tempfile::tempdir().expect("it is as the test made it");
         Walks::new(12, 200, 0.02).write(folder.path().join("data.parquet"));
         Self { folder }
     }
 
     fn at(&self, name: &str) -> String {
-        self.folder.path().join(name).to_str().unwrap().to_owned()
+        self.folder
+            .path()
+            .join(name)
+            .to_str()
+            .expect("it is as the test made it")
+            .to_owned()
     }
 
     fn write(&self, name: &str, walks: Walks) -> String {
@@ -131,12 +136,12 @@ impl World {
     fn page(&self, folder: &Path, name: &str, rollouts: &[&str], flags: &[&str]) {
         let file = |ending: &str| folder.join(format!("{name}.{ending}"));
         let html = file("html");
-        let output = ["-o", html.to_str().unwrap()];
+        let output = ["-o", html.to_str().expect("it is as the test made it")];
         let flags: Vec<&str> = output.iter().chain(flags).copied().collect();
         let run = self.run("report", rollouts, &flags);
         assert_eq!(run.code, 0, "{}", run.stderr);
         let json = self.run("score", rollouts, &["--format", "json"]).json();
-        std::fs::write(file("json"), json.to_string()).unwrap();
+        std::fs::write(file("json"), json.to_string()).expect("it is as the test made it");
     }
 }
 
@@ -144,12 +149,17 @@ impl World {
 fn data(html: &str) -> Value {
     let (_, rest) = html
         .split_once("<script type=\"application/json\" id=\"data\">")
-        .unwrap();
-    serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
+        .expect("it is as the test made it");
+    serde_json::from_str(
+        rest.split_once("</script>")
+            .expect("it is as the test made it")
+            .0,
+    )
+    .expect("it is as the test made it")
 }
 
 fn read(path: impl AsRef<Path>) -> String {
-    std::fs::read_to_string(path).unwrap()
+    std::fs::read_to_string(path).expect("it is as the test made it")
 }
 
 #[test]

@@ -101,10 +101,10 @@ pub(super) fn episodes(text: &str) -> Result<Range<i64>> {
 /// Draws and writes.
 pub(super) fn run(args: &PathsArgs, context: &Context) -> Result<CommandOutcome> {
     atomic::check_target(&args.output)?;
-    figure_file::check(&args.output)?;
     let (resolved, source) = data_args::open(&args.rollouts, &args.data.open_options())?;
     let inputs = [Some(resolved.path.as_path()), args.per_step.as_deref()];
     atomic::check_not_an_input(&args.output, inputs.into_iter().flatten())?;
+    figure_file::check(&args.output)?;
     let info = source.info();
     let maze = maze(args, info)?;
     let all = source.episodes()?;

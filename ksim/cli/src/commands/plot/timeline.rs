@@ -18,7 +18,7 @@ use crate::table;
 /// Points of a line, at most: beyond, a point is the mean of several steps.
 const POINTS: usize = 200;
 /// Lines that can be told apart.
-const LINES: usize = 7;
+const LINES: usize = 6;
 
 /// Draw K-Sim over the steps of episodes, and the share of saturated steps below it
 ///
