@@ -64,7 +64,7 @@ pub(crate) fn write(path: &Path, svg: &str) -> Result<()> {
 mod rendered {
     use anyhow::{Context as _, Result, anyhow, bail};
     use resvg::tiny_skia::{Pixmap, Transform};
-    use resvg::usvg::{self, fontdb};
+    use resvg::usvg;
 
     /// Pixels of a PNG per pixel of the drawing: 192 to the inch.
     const SCALE: f32 = 2.0;
