@@ -1,6 +1,6 @@
 # Thin: behind every target stands a command that works alone.
 
-.PHONY: demo test native native-torch peers check
+.PHONY: demo test native native-torch peers miri check
 
 # Builds with the default features and scores the bundled rollouts.
 demo: native
@@ -27,6 +27,11 @@ peers:
 	target/peers/bin/pip install --quiet "minari[hdf5]==0.5.4" gymnasium-robotics==1.4.2 mujoco==3.17.0 pillow pyarrow \
 		mcap mcap-protobuf-support mcap-ros2-support
 	timeout 900 target/peers/bin/pip install --quiet lerobot
+
+# The vector instructions of this machine under Miri (needs `rustup component add miri --toolchain nightly`): minutes.
+miri:
+	MIRIFLAGS=-Zmiri-disable-isolation RUSTFLAGS="-C target-feature=+avx2" CARGO_TARGET_DIR=target/miri \
+		cargo +nightly miri test -p ksim --lib lanes
 
 # What CI runs.
 check:

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::ops::Deref;
+use std::sync::Arc;
 
 use bytemuck::Pod;
 use bytes::Bytes;
@@ -27,7 +28,12 @@ enum Storage<T> {
     Owned(Vec<T>),
     /// Whole `T`s, aligned: [`Buffer::lent`] has checked it.
     Lent(Bytes),
+    /// What somebody else here holds, too.
+    Shared(Shared<T>),
 }
+
+/// Numbers that several hold, whoever made them.
+pub(crate) type Shared<T> = Arc<dyn AsRef<[T]> + Send + Sync>;
 
 impl<T: Pod> Buffer<T> {
     /// Borrows little-endian values from `bytes`, for as long as the buffer and its clones live.
@@ -53,12 +59,12 @@ impl<T: Pod> Buffer<T> {
 
     /// The values as a vector that can change: lent ones are copied, once.
     pub(crate) fn to_mut(&mut self) -> &mut Vec<T> {
-        if let Storage::Lent(_) = self.0 {
+        if !matches!(self.0, Storage::Owned(_)) {
             self.0 = Storage::Owned(self.to_vec());
         }
         match &mut self.0 {
             Storage::Owned(values) => values,
-            Storage::Lent(_) => unreachable!("made an owned one above"),
+            Storage::Lent(_) | Storage::Shared(_) => unreachable!("made an owned one above"),
         }
     }
 
@@ -78,6 +84,7 @@ impl<T: Pod> Deref for Buffer<T> {
         match &self.0 {
             Storage::Owned(values) => values,
             Storage::Lent(bytes) => bytemuck::cast_slice(bytes),
+            Storage::Shared(values) => (**values).as_ref(),
         }
     }
 }
@@ -91,6 +98,12 @@ impl<T: Pod> AsRef<[T]> for Buffer<T> {
 impl<T> From<Vec<T>> for Buffer<T> {
     fn from(values: Vec<T>) -> Self {
         Self(Storage::Owned(values))
+    }
+}
+
+impl<T> From<Shared<T>> for Buffer<T> {
+    fn from(values: Shared<T>) -> Self {
+        Self(Storage::Shared(values))
     }
 }
 
@@ -111,6 +124,9 @@ impl<T> fmt::Debug for Buffer<T> {
         match &self.0 {
             Storage::Owned(values) => write!(f, "Buffer(owned, {} values)", values.len()),
             Storage::Lent(bytes) => write!(f, "Buffer(lent, {} bytes)", bytes.len()),
+            Storage::Shared(values) => {
+                write!(f, "Buffer(shared, {} values)", (**values).as_ref().len())
+            }
         }
     }
 }

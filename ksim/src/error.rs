@@ -70,6 +70,14 @@ pub enum DataError {
     /// A matrix without columns.
     #[error("a matrix needs at least one column")]
     NoColumns,
+    /// More columns than a search numbers.
+    #[error("{found} columns, expected at most {most}")]
+    TooManyColumns {
+        /// The most there may be.
+        most: usize,
+        /// Columns found.
+        found: usize,
+    },
     /// More rows than a row number can name.
     #[error("more than {} rows", u32::MAX)]
     TooManyRows,
@@ -124,6 +132,9 @@ pub enum KMeansError {
         /// Width of the centers.
         found: usize,
     },
+    /// A center that is no point.
+    #[error("a center is not finite")]
+    Center(#[source] DataError),
     /// Clusters of other data.
     #[error("clusters of {found} rows do not go with {expected} rows")]
     OtherRows {

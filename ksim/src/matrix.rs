@@ -65,7 +65,7 @@ impl Matrix {
     /// An empty matrix of the given width.
     ///
     /// # Errors
-    /// [`DataError::NoColumns`] for width 0.
+    /// [`DataError::NoColumns`] for width 0, [`DataError::TooManyColumns`].
     pub fn new(n_features: usize) -> Result<Self, DataError> {
         check_shape(0, n_features)?;
         Ok(Self {
@@ -78,12 +78,11 @@ impl Matrix {
     /// Takes row-major `f32` values as they are, without a copy.
     ///
     /// # Errors
-    /// [`DataError::NoColumns`], [`DataError::RaggedRows`], [`DataError::NonFinite`].
+    /// [`DataError::NoColumns`], [`DataError::TooManyColumns`], [`DataError::RaggedRows`],
+    /// [`DataError::NonFinite`], [`DataError::TooManyRows`].
     pub fn from_f32(values: Vec<f32>, n_features: usize) -> Result<Self, DataError> {
         check_shape(values.len(), n_features)?;
-        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-            return Err(non_finite(at, n_features, f64::from(values[at])));
-        }
+        check_plane(&values, n_features)?;
         let matrix = Self {
             high: values.into(),
             low: Buffer::default(),
@@ -93,13 +92,10 @@ impl Matrix {
         Ok(matrix)
     }
 
-    /// Takes both planes as [`planes`](Self::planes) gives them, without a copy and without a look
-    /// at the values: for planes that were checked when they were made, such as those of a file with
-    /// checksums. Values that are not finite make searches meaningless, but not unsafe.
+    /// Takes both planes as [`planes`](Self::planes) gives them, without a copy.
     ///
     /// # Errors
-    /// [`DataError::NoColumns`], [`DataError::RaggedRows`], [`DataError::TooManyRows`];
-    /// [`DataError::Parts`] if the second plane is neither empty nor as long as the first.
+    /// As [`from_f32`](Self::from_f32) for either plane; [`DataError::Parts`] if the second plane is neither empty nor as long as the first.
     pub fn from_planes(
         high: Buffer<f32>,
         low: Buffer<f32>,
@@ -112,6 +108,9 @@ impl Matrix {
                 expected: high.len(),
                 found: low.len(),
             });
+        }
+        for plane in [&*high, &*low] {
+            check_plane(plane, n_features)?;
         }
         let matrix = Self {
             high,
@@ -354,6 +353,13 @@ pub(crate) fn squared_distance(a: &[f64], b: &[f64]) -> f64 {
     sum_of_squares(b, |i| a[i])
 }
 
+/// Relative error of a sum of `n` products in f32, in any order: nu/(1 − nu), u = 2⁻²⁴ (Higham 2002,
+/// §3.1).
+pub(crate) fn gamma(n: usize) -> f64 {
+    let sum = n as f64 * f64::from(f32::EPSILON) / 2.0;
+    sum / (1.0 - sum)
+}
+
 /// More than an f32 distance over `width` columns can lose where squares underflow.
 pub(crate) fn underflow(width: usize) -> f64 {
     (width as f64).sqrt() * 2f64.powi(-74)
@@ -370,9 +376,18 @@ pub(crate) fn max_norm(data: &Matrix) -> f64 {
         .sqrt()
 }
 
+/// Columns at most: so many groups of four have numbers of 16 bits in the first pass of a search.
+const MAX_FEATURES: usize = 1 << 18;
+
 fn check_shape(values: usize, n_features: usize) -> Result<(), DataError> {
     if n_features == 0 {
         return Err(DataError::NoColumns);
+    }
+    if n_features > MAX_FEATURES {
+        return Err(DataError::TooManyColumns {
+            most: MAX_FEATURES,
+            found: n_features,
+        });
     }
     if !values.is_multiple_of(n_features) {
         return Err(DataError::RaggedRows { values, n_features });
@@ -380,7 +395,15 @@ fn check_shape(values: usize, n_features: usize) -> Result<(), DataError> {
     Ok(())
 }
 
-fn check_finite(values: &[f64], n_features: usize) -> Result<(), DataError> {
+fn check_plane(values: &[f32], n_features: usize) -> Result<(), DataError> {
+    use rayon::prelude::*;
+    match values.par_iter().position_first(|v| !v.is_finite()) {
+        Some(at) => Err(non_finite(at, n_features, f64::from(values[at]))),
+        None => Ok(()),
+    }
+}
+
+pub(crate) fn check_finite(values: &[f64], n_features: usize) -> Result<(), DataError> {
     // As f32, so that a value beyond its range is caught here and not as an infinite distance.
     match values.iter().position(|&v| !(v as f32).is_finite()) {
         Some(at) => Err(non_finite(at, n_features, values[at])),
@@ -436,6 +459,22 @@ mod tests {
             Err(DataError::RaggedRows { .. })
         ));
         assert!(matches!(Matrix::new(0), Err(DataError::NoColumns)));
+        assert!(matches!(
+            Matrix::new(MAX_FEATURES + 1),
+            Err(DataError::TooManyColumns { .. })
+        ));
+        let planes =
+            |high: Vec<f32>, low: Vec<f32>| Matrix::from_planes(high.into(), low.into(), 2);
+        assert!(planes(vec![1.0, 2.0], vec![0.0, 1e-9]).is_ok());
+        for (high, low) in [
+            (vec![1.0, f32::NAN], vec![]),
+            (vec![1.0, 2.0], vec![0.0, f32::NAN]),
+        ] {
+            assert!(matches!(
+                planes(high, low),
+                Err(DataError::NonFinite { column: 1, .. })
+            ));
+        }
         assert!(matches!(
             Matrix::from_f32(vec![f32::INFINITY], 1),
             Err(DataError::NonFinite { .. })

@@ -1,6 +1,9 @@
 //! Telling the processor what will be read soon.
 
-#![expect(unsafe_code, reason = "there is no safe intrinsic for it")]
+#![cfg_attr(
+    target_arch = "x86_64",
+    expect(unsafe_code, reason = "there is no safe intrinsic for it")
+)]
 
 /// Asks for the cache line of `items[index]`, which may lie beyond the end: nothing is read, only
 /// fetched, and on machines other than x86-64 not even that.

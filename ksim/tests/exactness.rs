@@ -187,10 +187,16 @@ fn check(case: &Case) -> usize {
 
 fn case(kind: &str, round: usize, noise: &mut Noise) -> Case {
     let widths = [31, 2, 12, 3, 8, 31, 17, 5, 64, 31, 1, 130, 40];
-    let width = widths[round % widths.len()];
+    case_of(kind, widths[round % widths.len()], round, noise)
+}
+
+fn case_of(kind: &str, width: usize, round: usize, noise: &mut Noise) -> Case {
     // Without a sample, with one, and with a sample of the sample.
     let sizes = [3000, 300, 9000, 2100, 70_000];
-    let n_rows = sizes[(round + round / 5) % sizes.len()] + noise.below(40);
+    let n_rows = match width {
+        ..=200 => sizes[(round + round / 5) % sizes.len()] + noise.below(40),
+        _ => 2500,
+    };
     let values = rows(kind, n_rows, width, noise);
     let n_queries = if n_rows > 20_000 || width > 40 {
         60
@@ -228,6 +234,17 @@ fn every_engine_finds_the_neighbors_of_the_oracle() {
         round += 1;
     }
     assert!(pairs >= wanted);
+}
+
+/// Wider than what is summed of a query at once: 400 groups of four columns.
+#[test]
+fn wide_rows_too() {
+    let mut noise = Noise(0xC0FFEE);
+    for (round, width) in [512, 1601, 2500].into_iter().enumerate() {
+        for kind in ["walk", "normal", "duplicates", "outliers", "huge"] {
+            check(&case_of(kind, width, round, &mut noise));
+        }
+    }
 }
 
 #[test]

@@ -289,16 +289,55 @@ fn wrong_requests_are_typed_errors() {
 
 #[test]
 fn answers_do_not_depend_on_threads() {
-    let data = matrix(&noise(4000 * 10, 16), 10);
-    let queries = noise(700 * 10, 17);
-    let on = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .unwrap();
-        pool.install(|| search(&clusters(&data, 20), &queries, 10))
-    };
-    assert_eq!(on(1), on(3));
+    let width = 12;
+    let data = matrix(&noise(70_000 * width, 16), width);
+    // So many rows that the clusters, too, look at rounded ones.
+    let kmeans = KMeans::params(5).fit(&data).unwrap();
+    let engines: [Box<dyn NeighborIndex>; 2] = [
+        Box::new(Blocked::new(Arc::clone(&data))),
+        Box::new(Clusters::new(Arc::clone(&data), kmeans)),
+    ];
+    for index in engines {
+        for n_queries in [1, 3, 40, 2000] {
+            let queries = noise(n_queries * width, 17);
+            let on = |threads: usize| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+                pool.build()
+                    .unwrap()
+                    .install(|| search(&*index, &queries, 10))
+            };
+            let alone = on(1);
+            for threads in [2, 7] {
+                assert!(
+                    on(threads) == alone,
+                    "{}: {n_queries} queries on {threads} threads",
+                    index.engine()
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn more_neighbors_than_there_are_rows_are_all_rows() {
+    for (n_rows, width) in [(300, 3), (9000, 12)] {
+        let data = matrix(&noise(n_rows * width, 18), width);
+        let expected = search(
+            &Linear::new(Arc::clone(&data)),
+            &noise(2 * width, 19),
+            n_rows,
+        );
+        let engines: [Box<dyn NeighborIndex>; 3] = [
+            Box::new(Linear::new(Arc::clone(&data))),
+            Box::new(Blocked::new(Arc::clone(&data))),
+            Box::new(clusters(&data, 1)),
+        ];
+        for index in engines {
+            let found = search(&*index, &noise(2 * width, 19), usize::MAX);
+            assert!(found.of(0) == expected.of(0), "{}", index.engine());
+            assert_eq!(found.of(1).len(), n_rows);
+        }
+    }
 }
 
 #[test]

@@ -6,8 +6,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use ksim::{
-    Blocked, Buffer, Clusters, EpisodeRows, KMeans, KMeansError, KMeansParams, KdTree, Matrix,
-    Normalizer, Reference, RoundedRows, Trajectories,
+    Blocked, Buffer, Clusters, EpisodeRows, KMeans, KMeansError, KMeansParams, Matrix, Normalizer,
+    Reference, RoundedRows, Trajectories,
 };
 use rayon::prelude::*;
 
@@ -111,11 +111,10 @@ pub fn write(
     drop((raw_limiter, raw));
     let _limiter = Limiter::start(vec![mapping], LIMIT);
     let states = reference.states();
-    if states.n_features() > KdTree::MAX_FEATURES {
-        say(Stage::Rounding);
-        let rounded = Blocked::new(Arc::clone(states)).rounded();
-        write_rounded(&rounded, &ROWS, &mut writer)?;
-    }
+    say(Stage::Rounding);
+    let rounded = Blocked::new(Arc::clone(states)).rounded();
+    write_rounded(&rounded, &ROWS, &mut writer)?;
+    drop(rounded);
     if let Some(clustering) = clustering {
         say(Stage::Clusters);
         let fitted = fitted(states, clustering)?;

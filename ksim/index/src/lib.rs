@@ -28,7 +28,7 @@
 //! | `episodes` | i64 × 3 per episode: its number, first row, row after its last |
 //! | `numbers` | i64 per row: recorded step numbers, where they do not count from 0 |
 //! | `state.high`, `state.low`, `action.high`, `action.low` | normalized values as two f32, row-major |
-//! | `rows.…` | the states rounded to bytes, as [`ksim::RoundedRows`] has them: only for more columns than a k-d tree takes |
+//! | `rows.…` | the states rounded to bytes, as [`ksim::RoundedRows`] has them |
 //! | `cells.…` | the same by clusters: only with clusters |
 //! | `centers`, `labels`, `inertia` | f64 per center and column, u32 per row, one f64: only with clusters |
 

@@ -147,7 +147,7 @@ impl SavedIndex {
         Ok(Some(fitted))
     }
 
-    /// The states rounded for exact search, checked; `None` if there are so few columns that a k-d tree does it.
+    /// The states rounded for exact search, checked; `None` if it holds none.
     ///
     /// # Errors
     /// Sections that are missing or damaged.

@@ -12,7 +12,7 @@ pub use params::{KMeansBackend, KMeansParams};
 use rayon::prelude::*;
 
 use crate::error::KMeansError;
-use crate::matrix::{CHUNK_ROWS, Matrix, squared_distance};
+use crate::matrix::{CHUNK_ROWS, Matrix, check_finite, squared_distance};
 
 /// Cluster centers, and the cluster of every row they were fitted to.
 ///
@@ -47,7 +47,7 @@ impl KMeans {
     /// row of `data` to the nearest.
     ///
     /// # Errors
-    /// [`KMeansError::NoClusters`], [`KMeansError::CenterWidth`].
+    /// [`KMeansError::NoClusters`], [`KMeansError::CenterWidth`], [`KMeansError::Center`].
     pub fn from_centers(
         centers: &[f64],
         n_features: usize,
@@ -62,6 +62,7 @@ impl KMeans {
                 found: n_features,
             });
         }
+        check_finite(centers, n_features).map_err(KMeansError::Center)?;
         let labels = scan::assign(data, centers);
         Ok(Self::assigned(centers.to_vec(), labels, data, None, None))
     }
@@ -70,7 +71,8 @@ impl KMeans {
     /// and convergence as the methods of those names return them.
     ///
     /// # Errors
-    /// [`KMeansError::NoClusters`], [`KMeansError::CenterWidth`], [`KMeansError::Label`].
+    /// [`KMeansError::NoClusters`], [`KMeansError::CenterWidth`], [`KMeansError::Center`],
+    /// [`KMeansError::Label`].
     pub fn from_fit(
         centers: Vec<f64>,
         n_features: usize,
@@ -87,6 +89,7 @@ impl KMeans {
                 found: centers.len() % n_features,
             });
         }
+        check_finite(&centers, n_features).map_err(KMeansError::Center)?;
         let n_clusters = centers.len() / n_features;
         let is_known = |&label: &u32| (label as usize) < n_clusters;
         if let Some(row) = labels.iter().position(|label| !is_known(label)) {

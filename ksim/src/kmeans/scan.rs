@@ -3,7 +3,7 @@
 //!
 //! Centers are compared by s = ‖c‖²/2 − x·c, which orders them as the distance does, since
 //! ‖x − c‖² = ‖x‖² + 2s. In f32 over w columns s is off by at most
-//! (w + 5)u(‖x‖ + ‖c‖)‖c‖, u = 2⁻²⁴, counting the rounding of x and c themselves.
+//! γ(w + 5)(‖x‖ + ‖c‖)‖c‖, see [`gamma`], counting the rounding of x and c themselves.
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::nearest_center;
-use crate::matrix::{CHUNK_ROWS, Matrix, squared_distance, underflow};
+use crate::matrix::{CHUNK_ROWS, Matrix, gamma, squared_distance, underflow};
 use crate::tiles::{RowSet, TILE_ROWS, new_tile, pack};
 
 /// Centers scored together; with as many accumulators no multiply-add waits for another.
@@ -133,7 +133,7 @@ impl<'a> PackedCenters<'a> {
     /// Half the distance from each center to the nearest other, a hair less for rounding.
     pub(super) fn half_gaps(&self) -> Vec<f64> {
         let rows: Vec<&[f64]> = self.exact.chunks_exact(self.width).collect();
-        rows.iter()
+        rows.par_iter()
             .enumerate()
             .map(|(a, center)| {
                 let others = rows.iter().enumerate().filter(|(b, _)| *b != a);
@@ -147,13 +147,12 @@ impl<'a> PackedCenters<'a> {
 
     /// Bounds that hold if the best score is the smallest beyond the rounding of f32, else `None`.
     pub(super) fn certain(&self, scores: &RowScores, squared_norm: f32) -> Option<DistanceBounds> {
-        let unit = f64::from(f32::EPSILON) / 2.0;
         let squared_norm = f64::from(squared_norm);
-        let w = self.width as f64;
+        let sum = gamma(self.width + 8);
         let lost = underflow(self.width).powi(2);
         let norms = squared_norm.sqrt() + self.max_norm;
-        let doubt = (w + 8.0) * unit * norms * self.max_norm + lost;
-        let slack = 2.0 * doubt + (w + 8.0) * unit * squared_norm + lost;
+        let doubt = sum * norms * self.max_norm + lost;
+        let slack = 2.0 * doubt + sum * squared_norm + lost;
         let gap = f64::from(scores.second) - f64::from(scores.best);
         // Squares that may have overflowed count as doubt, and so does NaN.
         let in_range = norms * norms < f64::from(f32::MAX) / 4.0;

@@ -37,7 +37,8 @@ pub(super) fn fit(data: &Matrix, centers: Vec<f64>, params: &KMeansParams) -> KM
         converged = fit.squared_shifts(&means).iter().sum::<f64>() <= tolerance;
         // Where no label changed, the means are where it ends, and past them there is nothing.
         if converged || n_changed == 0 || n_iterations == params.max_iterations {
-            fit.move_to(means);
+            fit.sum_anew();
+            fit.move_to(fit.means());
         } else {
             fit.move_beyond(means);
         }
@@ -155,6 +156,34 @@ impl<'a> Fit<'a> {
                 .for_each(|(count, d)| *count += d);
         }
         n_changed
+    }
+
+    /// The sums from the labels alone: what has come to them and left again over the iterations may
+    /// have taken digits along.
+    fn sum_anew(&mut self) {
+        let width = self.data.n_features();
+        let parts: Vec<Vec<f64>> = self
+            .chunks
+            .par_iter()
+            .enumerate()
+            .map(|(index, chunk)| {
+                let mut sums = vec![0.0; self.sums.len()];
+                let mut point = vec![0.0; width];
+                for (&label, row) in chunk.labels.iter().zip(index * CHUNK_ROWS..) {
+                    self.data.read_row(row, &mut point);
+                    let sums = &mut sums[label as usize * width..][..width];
+                    sums.iter_mut().zip(&point).for_each(|(sum, v)| *sum += v);
+                }
+                sums
+            })
+            .collect();
+        self.sums.fill(0.0);
+        for part in parts {
+            self.sums
+                .iter_mut()
+                .zip(part)
+                .for_each(|(sum, d)| *sum += d);
+        }
     }
 
     /// The mean of each center's rows: where Lloyd's iteration moves it. An empty cluster starts
@@ -546,6 +575,25 @@ mod tests {
             .map(|(m, c)| c + RELAXATION * (m - c))
             .collect();
         (relaxed, means, inertia)
+    }
+
+    /// A row so large that it takes the sum of a cluster along when it leaves.
+    #[test]
+    fn centers_are_the_means_of_their_rows() {
+        let values: Vec<f64> = [0.5; 50].into_iter().chain([3e18]).collect();
+        let data = Matrix::from_f64(&values, 1).unwrap();
+        let fitted = fit(&data, vec![0.5, 7e18], &KMeansParams::new(2));
+        let mut centers = fitted.centers().to_vec();
+        centers.sort_by(f64::total_cmp);
+        assert_eq!(centers[0], 0.5);
+        assert_eq!(
+            fitted
+                .labels()
+                .iter()
+                .filter(|&&l| l == fitted.labels()[0])
+                .count(),
+            50
+        );
     }
 
     #[test]

@@ -108,7 +108,7 @@ impl NeighborIndex for Blocked {
                         excluded: request.excluded(query),
                     })
                     .collect();
-                searcher.nearest(0, &queries, request.n_neighbors)
+                searcher.nearest(0, &queries, request.n_neighbors_of(self.n_rows()))
             })
             .collect();
         Ok(Neighbors::from_lists(lists, None))

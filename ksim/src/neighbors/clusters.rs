@@ -69,6 +69,14 @@ impl Clusters {
         let (rows, offsets) = rows_by_cluster(&data, &kmeans);
         let shape = (data.n_rows(), data.n_features());
         let (codes, max_norm) = rounded.into_codes(shape, kmeans.n_clusters())?;
+        let belongs = |cluster: usize| {
+            let mut rows = codes.rows(codes.segment(cluster)).into_iter();
+            rows.all(|row| kmeans.labels()[row as usize] as usize == cluster)
+        };
+        if !(0..kmeans.n_clusters()).into_par_iter().all(belongs) {
+            let what = "the clusters of their rows";
+            return Err(SearchError::RoundedRows { what });
+        }
         Ok(Self {
             data,
             kmeans,
@@ -192,7 +200,8 @@ impl NeighborIndex for Clusters {
             .flat_map_iter(|&task| {
                 let queries: Vec<Query<'_>> = task.iter().map(|&query| query_at(query)).collect();
                 let cluster = clusters[task[0]] as usize;
-                let lists = searcher.nearest(cluster, &queries, request.n_neighbors);
+                let n = request.n_neighbors_of(self.n_rows());
+                let lists = searcher.nearest(cluster, &queries, n);
                 task.iter().copied().zip(lists)
             })
             .collect();

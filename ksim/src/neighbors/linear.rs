@@ -50,7 +50,7 @@ impl NeighborIndex for Linear {
                     &self.data,
                     request.queries.row(query),
                     rows,
-                    request.n_neighbors,
+                    request.n_neighbors_of(self.n_rows()),
                 )
             })
             .collect();

@@ -46,6 +46,11 @@ impl<'a> SearchRequest<'a> {
         }
     }
 
+    /// Neighbors that a query can have among so many rows: what engines may make room for.
+    fn n_neighbors_of(&self, n_rows: usize) -> usize {
+        self.n_neighbors.min(n_rows.max(1))
+    }
+
     fn excluded(&self, query: usize) -> Range<usize> {
         self.excluded.map_or(0..0, |ranges| ranges[query].clone())
     }

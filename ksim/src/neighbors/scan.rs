@@ -3,8 +3,8 @@
 //!
 //! With x̂ and q̂ the values rounded to f32 and u = 2⁻²⁴, the difference vector is off by at most
 //! e = u(‖x‖ + ‖q‖) in L2, and its squared length D̂, summed over w columns in f32, by at most a
-//! factor 1 ± (w + 4)u. Hence a row at true distance d has D̂ ≤ (d + e)²(1 + (w + 4)u), and
-//! d ≤ √(D̂(1 + (w + 4)u)) + e. If t is the n-th smallest D̂ so far, n rows lie within the latter
+//! factor 1 ± g, g = γ(w + 4), see [`gamma`]. Hence a row at true distance d has
+//! D̂ ≤ (d + e)²(1 + g), and d ≤ √(D̂(1 + 2g)) + e while g ≤ 1/2, which 2¹⁸ columns are far below. If t is the n-th smallest D̂ so far, n rows lie within the latter
 //! of t, so no row beyond `Bound::widen(t)`, the former applied to the latter, can be among the n
 //! nearest. Where squares underflow, each is off by at most 2⁻¹⁴⁹, which e takes in as √w·2⁻⁷⁴. Both
 //! bounds are widened once more to cover the rounding of the bounds themselves.
@@ -14,7 +14,7 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{Neighbor, rank};
-use crate::matrix::{Matrix, underflow};
+use crate::matrix::{Matrix, gamma, underflow};
 use crate::tiles::{RUN_ROWS, RowSet, TILE_ROWS, new_tile, pack, squared_distances};
 
 /// One query on its way over the rows.
@@ -56,7 +56,7 @@ pub(super) fn nearest(
 struct Bound {
     /// e of the module's text.
     rounding: f64,
-    /// 1 + (w + 4)u, with room for the rounding of this very arithmetic.
+    /// 1 + 2g, with room for the rounding of this very arithmetic.
     factor: f64,
 }
 
@@ -66,7 +66,7 @@ impl Bound {
         let norm = query.iter().map(|v| v * v).sum::<f64>().sqrt();
         Self {
             rounding: unit * (max_norm + norm) * 1.001 + underflow(query.len()),
-            factor: 1.0 + (query.len() as f64 + 8.0) * unit,
+            factor: 1.0 + 2.0 * gamma(query.len() + 8),
         }
     }
 
@@ -108,7 +108,7 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Takes a row; they come in ascending order.
+    /// Takes a row, in any order.
     fn push(&mut self, squared: f32, row: u32) {
         if self.query.excluded.contains(&(row as usize)) {
             return;
@@ -139,8 +139,8 @@ impl<'a> State<'a> {
         self.survivors.retain(|(squared, _)| *squared <= threshold);
     }
 
-    /// Keeps the n best by exact distance. Rows to come are larger, so that a tie with the n-th
-    /// goes to the one that is kept.
+    /// Keeps the n best by exact distance. A row to come that ties with the n-th passes the
+    /// threshold, and the ranking at the end decides.
     fn compact_exactly(&mut self) {
         let rows = self.survivors.iter().map(|&(_, row)| row);
         let best = rank(self.data, self.query.values, rows, self.n);

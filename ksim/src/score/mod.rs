@@ -22,9 +22,12 @@ use crate::neighbors::{Neighbor, NeighborIndex, Neighbors, SearchRequest};
 use crate::normalizer::Normalizer;
 use crate::trajectories::{EpisodeRows, Trajectories};
 
-/// Steps scored between two calls of the progress function: enough queries to share the work of
-/// passing over the reference, few enough that their neighbors take little memory.
+/// Steps scored between two calls of the progress function, at most: enough queries to share the
+/// work of passing over the reference.
 const BLOCK_STEPS: usize = 8192;
+
+/// Neighbors found between two calls, at most, while a step alone has fewer: they take 64 MB.
+const BLOCK_NEIGHBORS: usize = 1 << 22;
 
 /// The smallest distance a score divides by.
 const SMALLEST_DISTANCE: f64 = 1e-12;
@@ -94,7 +97,16 @@ impl KSim {
     /// # Errors
     /// What k-means or the search object to.
     pub fn with_search(&self, search: Search) -> Result<Self, ScoreError> {
-        self.with_params(self.params.clone().search(search))
+        self.with_prepared(search, Prepared::default())
+    }
+
+    /// The same from what was prepared for the states: see [`KSimParams::fit_prepared`].
+    ///
+    /// # Errors
+    /// As [`KSimParams::fit_prepared`].
+    pub fn with_prepared(&self, search: Search, prepared: Prepared) -> Result<Self, ScoreError> {
+        let params = self.params.clone().search(search);
+        params.fit_prepared(self.reference.clone(), prepared)
     }
 
     /// The same reference under other parameters; the data are shared, not copied.
@@ -102,13 +114,7 @@ impl KSim {
     /// # Errors
     /// As [`KSimParams::fit`].
     pub fn with_params(&self, params: KSimParams) -> Result<Self, ScoreError> {
-        params.check()?;
-        let index = params.build_index(&self.reference, Prepared::default())?;
-        Ok(Self {
-            reference: self.reference.clone(),
-            index,
-            params,
-        })
+        params.fit_prepared(self.reference.clone(), Prepared::default())
     }
 
     /// Episode number and step of a reference row.
@@ -169,8 +175,10 @@ impl KSim {
             true => Some(self.same_episode_rows(rollouts)?),
             false => None,
         };
-        for start in (0..rollouts.n_rows()).step_by(BLOCK_STEPS) {
-            let rows = start..(start + BLOCK_STEPS).min(rollouts.n_rows());
+        let n_neighbors = self.params.n_neighbors.clamp(1, reference.states.n_rows());
+        let block_steps = (BLOCK_NEIGHBORS / n_neighbors).clamp(1, BLOCK_STEPS);
+        for start in (0..rollouts.n_rows()).step_by(block_steps) {
+            let rows = start..(start + block_steps).min(rollouts.n_rows());
             let block = Block {
                 start,
                 states: reference

@@ -98,10 +98,17 @@ pub(super) fn fit(inputs: &Inputs, job: &Job, context: &Context) -> Result<Fitte
     let ksim = params
         .fit_prepared(reference, loaded.prepared)
         .with_context(|| info.path.display().to_string())?;
-    let exact = settings
-        .approximation_error
-        .then(|| ksim.with_search(Search::Auto))
-        .transpose()?;
+    let exact = match settings.approximation_error {
+        true => {
+            let rounded = loaded.saved.as_ref().map(SavedIndex::rounded_rows);
+            let prepared = Prepared {
+                clusters: None,
+                rounded: rounded.transpose()?.flatten(),
+            };
+            Some(ksim.with_prepared(Search::Auto, prepared)?)
+        }
+        false => None,
+    };
     drop(progress);
     let mut search = SearchPart::new(settings, centers.as_ref(), &ksim);
     search.index = job.index.as_ref().map(|path| path.display().to_string());

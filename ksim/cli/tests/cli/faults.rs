@@ -1,6 +1,6 @@
 //! Bad input and interrupts: a clear message, the right exit code, no file left behind.
 
-use crate::process::{Demo, Rollouts, command, finished, ksim};
+use crate::process::{Demo, Rollouts, command, finished, ksim, wait_until_at_work};
 
 #[test]
 fn bad_input_is_named_and_leaves_no_file() {
@@ -147,7 +147,7 @@ fn interrupted(signal: &str) {
         .stderr(std::process::Stdio::null())
         .spawn()
         .expect("the binary runs");
-    std::thread::sleep(std::time::Duration::from_millis(700));
+    wait_until_at_work(&child);
     let id = child.id().to_string();
     assert!(
         std::process::Command::new("kill")

@@ -1,13 +1,34 @@
 //! Running the built command, and small files for it.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use arrow::array::{ArrayRef, FixedSizeListArray, Float32Array, Int64Array, RecordBatch};
 use arrow::datatypes::{DataType, Field, Schema};
 use parquet::arrow::ArrowWriter;
 use serde_json::Value;
+
+/// Waits until a process listens to signals, where the system says so, and gives it time to get to work.
+pub(crate) fn wait_until_at_work(child: &Child) {
+    /// However busy the machine is.
+    const LONGEST: Duration = Duration::from_secs(60);
+    let started = Instant::now();
+    let status = format!("/proc/{}/status", child.id());
+    let listens = || {
+        let status = std::fs::read_to_string(&status).unwrap_or_default();
+        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+        let Some(caught) = caught.and_then(|bits| u64::from_str_radix(bits.trim(), 16).ok()) else {
+            return true;
+        };
+        caught & 0b10 != 0
+    };
+    while !listens() && started.elapsed() < LONGEST {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    std::thread::sleep(Duration::from_millis(700));
+}
 
 /// What a run of `ksim` left behind.
 pub(crate) struct Run {

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::process::{Run, batches, column, command, finished, ksim};
+use crate::process::{Run, batches, column, command, finished, ksim, wait_until_at_work};
 
 /// A folder for what is written.
 struct Folder(tempfile::TempDir);
@@ -290,7 +290,7 @@ fn interrupted(signal: &str, folder: &Folder) -> Run {
         .stderr(std::process::Stdio::piped())
         .spawn()
         .expect("the binary runs");
-    std::thread::sleep(std::time::Duration::from_millis(700));
+    wait_until_at_work(&child);
     let kill = std::process::Command::new("kill")
         .args([signal, &child.id().to_string()])
         .status();

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::scale::{LARGEST, Scale};
+use crate::buffer::Shared;
 use crate::matrix::{CHUNK_ROWS, Matrix};
 
 /// Rows that lie together, column by column.
@@ -32,7 +33,6 @@ const ONCE: usize = 1 << 11;
 const TWICE: usize = 1 << 16;
 
 /// A flat array, owned or borrowed from a mapped file.
-pub(crate) type Shared<T> = Arc<dyn AsRef<[T]> + Send + Sync>;
 
 /// The rounded rows of a matrix, all of them once.
 ///
@@ -136,7 +136,7 @@ impl Codes {
     }
 
     /// All blocks of a segment.
-    pub(super) fn segment(&self, segment: usize) -> Range<usize> {
+    pub(crate) fn segment(&self, segment: usize) -> Range<usize> {
         self.level(segment, 0).start..self.level(segment, LEVELS - 1).end
     }
 
@@ -152,7 +152,7 @@ impl Codes {
     }
 
     /// The rows of some blocks, in their order.
-    pub(super) fn rows(&self, blocks: Range<usize>) -> Vec<u32> {
+    pub(crate) fn rows(&self, blocks: Range<usize>) -> Vec<u32> {
         blocks
             .flat_map(|block| self.block(block).rows)
             .copied()

@@ -126,6 +126,8 @@ impl Searcher<'_> {
                 sampled < n && !(best[query].len() >= n && best[query].squared < guesses[query])
             })
             .collect();
+        // Without a guess every row was looked at: where there are too few, there are no more.
+        short.retain(|&query| guesses[query] < f64::INFINITY);
         let mut wider = 1.0;
         for attempt in 1..=ATTEMPTS {
             if short.is_empty() {

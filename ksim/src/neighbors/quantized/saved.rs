@@ -2,9 +2,11 @@
 
 use std::sync::Arc;
 
-use super::codes::{Codes, GROUP, GROUP_BYTES, LEVELS, NO_ROW, STRIP_ROWS, Shared};
-use super::scale::Scale;
-use crate::buffer::Buffer;
+use rayon::prelude::*;
+
+use super::codes::{Codes, GROUP, GROUP_BYTES, LEVELS, NO_ROW, STRIP_ROWS};
+use super::scale::{LARGEST, Scale};
+use crate::buffer::{Buffer, Shared};
 use crate::error::SearchError;
 
 /// The rounded rows behind [`Blocked`](crate::Blocked) and [`Clusters`](crate::Clusters), as flat arrays.
@@ -42,8 +44,8 @@ impl RoundedRows {
         let clipped: Vec<u8> = codes.block_clipped.iter().copied().map(u8::from).collect();
         Self {
             scale: scale.chain(variance.iter().copied()).collect(),
-            strips: (*codes.strips).as_ref().to_vec().into(),
-            order: (*codes.order).as_ref().to_vec().into(),
+            strips: Arc::clone(&codes.strips).into(),
+            order: Arc::clone(&codes.order).into(),
             block_starts: codes.block_starts.clone().into(),
             block_errors: codes.block_errors.clone().into(),
             block_clipped: clipped.into(),
@@ -91,9 +93,10 @@ impl RoundedRows {
                 && values.last().is_some_and(|&last| last as usize == end)
                 && values.is_sorted()
         };
-        if self.scale.len() != 1 + 2 * n_features
-            || !self.scale.iter().all(|value| value.is_finite())
-            || self.scale[0] <= 0.0
+        let is_grid = |(step, columns): (&f64, &[f64])| {
+            *step > 0.0 && (step * LARGEST).is_finite() && columns.iter().all(|v| v.is_finite())
+        };
+        if self.scale.len() != 1 + 2 * n_features || !self.scale.split_first().is_some_and(is_grid)
         {
             return refused("their grid");
         }
@@ -101,10 +104,19 @@ impl RoundedRows {
         {
             return refused("the number of their codes");
         }
+        // Nothing is rounded to this one, the square of which is beyond what the units sum.
+        if self
+            .strips
+            .par_chunks(1 << 16)
+            .any(|codes| codes.contains(&i8::MIN))
+        {
+            return refused("their codes");
+        }
         if self.block_starts.len() != n_blocks + 1
             || self.block_clipped.len() != n_blocks
             || !self.block_clipped.iter().all(|&byte| byte <= 1)
             || !grows(&self.block_starts, n_strips)
+            || self.block_starts.windows(2).any(|ends| ends[0] == ends[1])
         {
             return refused("their blocks");
         }
@@ -172,9 +184,22 @@ mod tests {
         };
         refused(&|bad| bad.scale[0] = f64::NAN, "grid");
         refused(&|bad| bad.scale.truncate(3), "grid");
+        refused(&|bad| bad.scale[0] = f64::MAX, "grid");
         refused(&|bad| bad.strips.to_mut().truncate(10), "codes");
+        refused(&|bad| bad.strips.to_mut()[7] = -128, "codes");
         refused(&|bad| bad.order.to_mut().clear(), "codes");
         refused(&|bad| bad.block_starts.to_mut().swap(0, 1), "blocks");
+        // A block without rows.
+        refused(
+            &|bad| {
+                let end = *bad.block_starts.last().unwrap();
+                bad.block_starts.to_mut().push(end);
+                bad.block_errors.to_mut().push(0.0);
+                bad.block_clipped.to_mut().push(0);
+                *bad.levels.to_mut().last_mut().unwrap() += 1;
+            },
+            "blocks",
+        );
         refused(&|bad| bad.block_clipped.to_mut()[0] = 2, "blocks");
         refused(&|bad| bad.levels.to_mut().push(0), "levels");
         refused(&|bad| bad.block_errors.to_mut()[0] = -1.0, "bounds");
@@ -184,7 +209,16 @@ mod tests {
         refused(&|bad| bad.order.to_mut()[0] = NO_ROW, "rows");
         // Of clusters of other numbers.
         let kmeans = KMeans::params(6).fit(&data).unwrap();
-        let error = Clusters::from_rounded(Arc::clone(&data), kmeans, good).unwrap_err();
+        let error = Clusters::from_rounded(Arc::clone(&data), kmeans.clone(), good).unwrap_err();
         assert!(error.to_string().contains("levels"), "{error}");
+        // Of as many clusters with other rows in them.
+        let rounded = Clusters::new(Arc::clone(&data), kmeans.clone()).rounded();
+        let (centers, inertia) = (kmeans.centers().to_vec(), kmeans.inertia());
+        let mut labels = kmeans.labels().to_vec();
+        let elsewhere = labels.iter().position(|label| *label != labels[0]);
+        labels.swap(0, elsewhere.unwrap());
+        let other = KMeans::from_fit(centers, 9, labels, inertia, (None, None)).unwrap();
+        let error = Clusters::from_rounded(Arc::clone(&data), other, rounded).unwrap_err();
+        assert!(error.to_string().contains("clusters"), "{error}");
     }
 }
