@@ -77,8 +77,7 @@ pub fn write(
     say: &mut dyn FnMut(Stage),
 ) -> Result<About, IndexError> {
     say(Stage::Statistics);
-    let (raw, mappings) = steps.into_trajectories()?;
-    let raw_limiter = Limiter::start(mappings, LIMIT);
+    let (raw, raw_limiter) = steps.into_trajectories()?;
     if raw.n_rows() == 0 {
         return Err(ksim::ScoreError::EmptyReference.into());
     }
@@ -106,10 +105,9 @@ pub fn write(
     let names = [["state.high", "state.low"], ["action.high", "action.low"]];
     normalized(raw.states(), &normalizers.0, names[0], &mut writer)?;
     normalized(raw.actions(), &normalizers.1, names[1], &mut writer)?;
-    let (reference, mapping) = read_back(&mut writer, file, &raw, normalizers)?;
+    let (reference, _limiter) = read_back(&mut writer, file, &raw, normalizers)?;
     // The raw values are needed no more, nor the disk they are on.
     drop((raw_limiter, raw));
-    let _limiter = Limiter::start(vec![mapping], LIMIT);
     let states = reference.states();
     say(Stage::Rounding);
     let rounded = Blocked::new(Arc::clone(states)).rounded();
@@ -181,15 +179,17 @@ fn normalized(
     Ok(())
 }
 
-/// The normalized reference, as it lies in the unfinished file.
+/// The normalized reference, as it lies in the unfinished file, and what keeps it from filling memory.
 fn read_back(
     writer: &mut SectionWriter<BufWriter<&File>>,
     file: &File,
     raw: &Trajectories,
     normalizers: (Normalizer, Normalizer),
-) -> Result<(Reference, Mapping), IndexError> {
+) -> Result<(Reference, Limiter), IndexError> {
     writer.flush()?;
     let mapping = Mapping::new(file).map_err(IndexError::io("map the unfinished index"))?;
+    let limiter = Limiter::start(LIMIT);
+    limiter.add(&mapping);
     let plane = |name| {
         let entry: &Entry = writer.entry(name)?;
         let bytes = mapping.share(entry.offset as usize..(entry.offset + entry.len) as usize);
@@ -204,7 +204,7 @@ fn read_back(
     let normalized = Trajectories::from_parts(states, actions, raw.episodes().to_vec())?;
     Ok((
         Reference::from_normalized(normalized, normalizers)?,
-        mapping,
+        limiter,
     ))
 }
 

@@ -20,6 +20,7 @@ const PERIOD: Duration = Duration::from_millis(20);
 /// Gives pages of mappings back, until it is dropped.
 #[derive(Debug)]
 pub(crate) struct Limiter {
+    mappings: Arc<Mutex<Vec<Mapping>>>,
     stop: Arc<(Mutex<bool>, Condvar)>,
     thread: Option<JoinHandle<()>>,
 }
@@ -27,14 +28,26 @@ pub(crate) struct Limiter {
 impl Limiter {
     /// Starts. Without effect where the system does not say how much memory is resident, or starts no thread: then
     /// memory is left to the system.
-    pub(crate) fn start(mappings: Vec<Mapping>, limit: u64) -> Self {
+    pub(crate) fn start(limit: u64) -> Self {
+        let mappings = Arc::new(Mutex::new(Vec::new()));
         let stop = Arc::new((Mutex::new(false), Condvar::new()));
-        let thread = resident_bytes().and_then(|_| {
-            let stop = Arc::clone(&stop);
+        let thread = Resident::now().and_then(|_| {
+            let (mappings, stop) = (Arc::clone(&mappings), Arc::clone(&stop));
             let thread = std::thread::Builder::new().name("mapped memory".to_owned());
             thread.spawn(move || watch(&mappings, limit, &stop)).ok()
         });
-        Self { stop, thread }
+        Self {
+            mappings,
+            stop,
+            thread,
+        }
+    }
+
+    /// Takes charge of a mapping: before it is looked at, or its pages are in memory already.
+    pub(crate) fn add(&self, mapping: &Mapping) {
+        let mappings = self.mappings.lock();
+        let mut mappings = mappings.unwrap_or_else(PoisonError::into_inner);
+        mappings.push(mapping.clone());
     }
 }
 
@@ -49,31 +62,48 @@ impl Drop for Limiter {
     }
 }
 
-fn watch(mappings: &[Mapping], limit: u64, stop: &(Mutex<bool>, Condvar)) {
-    let mut limit = limit;
+fn watch(mappings: &Mutex<Vec<Mapping>>, limit: u64, stop: &(Mutex<bool>, Condvar)) {
     let mut stopped = stop.0.lock().unwrap_or_else(PoisonError::into_inner);
     while !*stopped {
         (stopped, _) = stop
             .1
             .wait_timeout(stopped, PERIOD)
             .unwrap_or_else(PoisonError::into_inner);
-        if resident_bytes().is_some_and(|bytes| bytes > limit) {
+        let Some(resident) = Resident::now() else {
+            return;
+        };
+        // Where most of it is not mapped, giving back often would only cost time.
+        if resident.total() > limit && resident.of_files > limit / 4 {
+            let mappings = mappings.lock().unwrap_or_else(PoisonError::into_inner);
             mappings.iter().for_each(Mapping::release_all);
-            // Where most of it is not mapped, giving back often would only cost time.
-            let rest = resident_bytes().unwrap_or(0);
-            limit = limit.max(rest + rest / 2);
         }
     }
 }
 
-/// `VmRSS` of this process.
-fn resident_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmRSS:"))?;
-    let kib: u64 = line.split_whitespace().next()?.parse().ok()?;
-    Some(kib * 1024)
+/// Bytes of this process that are in memory.
+struct Resident {
+    own: u64,
+    of_files: u64,
+}
+
+impl Resident {
+    /// `None` where the system does not say.
+    fn now() -> Option<Self> {
+        let status = std::fs::read_to_string("/proc/self/status").ok()?;
+        let bytes = |name: &str| {
+            let line = status.lines().find_map(|line| line.strip_prefix(name))?;
+            let kib: u64 = line.split_whitespace().next()?.parse().ok()?;
+            Some(kib * 1024)
+        };
+        Some(Self {
+            own: bytes("RssAnon:")?,
+            of_files: bytes("RssFile:")?,
+        })
+    }
+
+    fn total(&self) -> u64 {
+        self.own + self.of_files
+    }
 }
 
 #[cfg(all(test, target_os = "linux"))]
@@ -90,12 +120,13 @@ mod tests {
             file.write_all(&block).unwrap();
         }
         let mapping = Mapping::new(&file).unwrap();
-        let before = resident_bytes().unwrap();
-        let limiter = Limiter::start(vec![mapping.clone()], before + (32 << 20));
+        let before = Resident::now().unwrap().total();
+        let limiter = Limiter::start(before + (32 << 20));
+        limiter.add(&mapping);
         let mut most = 0;
         for (at, part) in mapping.bytes().chunks(block.len()).enumerate() {
             assert!(part == block, "block {at}");
-            most = most.max(resident_bytes().unwrap());
+            most = most.max(Resident::now().unwrap().total());
             std::thread::sleep(PERIOD / 4);
         }
         drop(limiter);

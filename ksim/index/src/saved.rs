@@ -50,9 +50,12 @@ impl SavedIndex {
         }
         let mapping = Mapping::new(&file).map_err(IndexError::io("map the index"))?;
         let entries = format::read(mapping.bytes())?;
-        let is_large = mapping.bytes().len() > KEPT;
+        let limiter = (mapping.bytes().len() > KEPT).then(|| Limiter::start(LIMIT));
+        if let Some(limiter) = &limiter {
+            limiter.add(&mapping);
+        }
         let mut index = Self {
-            _limiter: is_large.then(|| Limiter::start(vec![mapping.clone()], LIMIT)),
+            _limiter: limiter,
             mapping,
             entries,
             about: About::default(),

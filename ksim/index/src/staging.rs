@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use ksim::{Buffer, DataError, EpisodeRows, Matrix, Trajectories};
 
 use crate::error::IndexError;
+use crate::limit::{LIMIT, Limiter};
 use crate::mapping::Mapping;
 
 /// Rows that came in, in raw units. The files have no names: nothing is left of them however the process ends.
@@ -100,16 +101,17 @@ impl StagedSteps {
     /// # Errors
     /// Temporary files that cannot be read back.
     pub fn fingerprint(self) -> Result<String, IndexError> {
-        Ok(self.into_trajectories()?.0.fingerprint())
+        let (data, _limiter) = self.into_trajectories()?;
+        Ok(data.fingerprint())
     }
 
-    /// All steps, read from the files where they are needed, and the mappings of these.
-    pub(crate) fn into_trajectories(self) -> Result<(Trajectories, Vec<Mapping>), IndexError> {
-        let mut mappings = Vec::new();
-        let states = self.states.mapped(&mut mappings)?;
-        let actions = self.actions.mapped(&mut mappings)?;
+    /// All steps, read from the files where they are needed, and what keeps them from filling memory.
+    pub(crate) fn into_trajectories(self) -> Result<(Trajectories, Limiter), IndexError> {
+        let limiter = Limiter::start(LIMIT);
+        let states = self.states.mapped(&limiter)?;
+        let actions = self.actions.mapped(&limiter)?;
         let data = Trajectories::from_parts(states, actions, self.episodes)?;
-        Ok((data, mappings))
+        Ok((data, limiter))
     }
 }
 
@@ -175,8 +177,8 @@ impl StagedMatrix {
         Ok(())
     }
 
-    fn mapped(self, mappings: &mut Vec<Mapping>) -> Result<Matrix, IndexError> {
-        let mut plane = |file: BufWriter<File>| {
+    fn mapped(self, limiter: &Limiter) -> Result<Matrix, IndexError> {
+        let plane = |file: BufWriter<File>| {
             let file = file.into_inner().map_err(|error| error.into_error());
             let file = file.map_err(IndexError::io(STAGE))?;
             if self.n_values == 0 {
@@ -184,7 +186,7 @@ impl StagedMatrix {
             }
             let mapping = Mapping::new(&file).map_err(IndexError::io("map a temporary file"))?;
             let bytes = mapping.share(0..mapping.bytes().len());
-            mappings.push(mapping);
+            limiter.add(&mapping);
             Ok::<_, IndexError>(Buffer::lent(bytes)?)
         };
         let high = plane(self.high)?;
