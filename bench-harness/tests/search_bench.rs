@@ -86,18 +86,18 @@ fn all_but_the_times_repeats() {
 /// Episodes of very different lengths: a mean over episodes is another number than that over steps.
 #[test]
 fn the_difference_is_that_of_the_k_sims_beside_it() {
-    let walk = |episodes: &[usize]| {
+    let walk = |episodes: &[usize], pace: f64| {
         let mut data = Trajectories::new(3, 1).unwrap();
         for (episode, &n) in episodes.iter().enumerate() {
-            let value = |i: usize| ((i + 31 * episode) as f64 * 0.37).sin() * (1 + episode) as f64;
+            let value = |i: usize| ((i + 31 * episode) as f64 * pace).sin() * (1 + episode) as f64;
             let states: Vec<f64> = (0..3 * n).map(value).collect();
             data.push(episode as i64, &states, &states[..n]).unwrap();
         }
         data
     };
     let source = StepSource::Recorded {
-        dataset: walk(&[300, 300, 300]),
-        rollouts: vec![("uneven".to_owned(), walk(&[7, 150, 20, 3]))],
+        dataset: walk(&[300, 300, 300], 0.37),
+        rollouts: vec![("uneven".to_owned(), walk(&[7, 150, 20, 3], 0.53))],
         seed: 0,
     };
     let about = SourcePart {
@@ -116,7 +116,7 @@ fn the_difference_is_that_of_the_k_sims_beside_it() {
     let exact = report.measurements.iter().find(|one| one.exact).unwrap();
     let clusters = report.measurements.iter().find(|one| !one.exact).unwrap();
     let difference = clusters.approximation.unwrap().score_difference;
-    assert!(difference.value < 0.0);
+    assert!(difference.value.abs() > 1e-4, "{difference:?}");
     assert!((difference.value - (clusters.k_sim - exact.k_sim)).abs() < 1e-9);
     let [low, high] = difference.interval.unwrap();
     assert!(low <= difference.value && difference.value <= high);
