@@ -70,7 +70,8 @@ pub struct Measurement {
     pub reference_bytes: u64,
     /// Peak of resident memory during build and search, above what was resident before, the states included:
     /// what the index and its use cost on top of the reference. Memory that the process had taken and freed before does
-    /// not show, so that of several engines in a run only the first has all of it. `None` where the system does not say.
+    /// not show, so that of several engines in a run only the first has all of it. `None` where the system does not
+    /// say.
     pub memory_bytes: Option<u64>,
     /// Seconds per query in one batch.
     pub query_s: f64,

@@ -61,8 +61,8 @@ pub(super) fn render(report: &SearchReport) -> String {
         "{}\nreference    {reference}{distinct}\nqueries      {asked}; K {}\n\
          exact        {checked}\n\
          times        best of the repeats, on {} cores; built once; \"one alone\" on one thread\n\
-         memory       peak of build and search above the reference, which itself takes 8 bytes a value; of engines after\n\
-         \x20            the first only what they take beyond the memory that those before them have freed\n\
+         memory       peak of build and search above the reference, which itself takes 8 bytes a value; of engines\n\
+         \x20            after the first only what they take beyond the memory that those before them have freed\n\
          ksim         {}, seed {}\n",
         table::align(&rows),
         report.n_neighbors,

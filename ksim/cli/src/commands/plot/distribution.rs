@@ -18,8 +18,8 @@ use crate::table;
 
 /// Draw the distribution of the distances between rollouts and the data, beside held-out demonstrations
 ///
-/// Distances are d/√d, which does not saturate; a step up to γ scores 1. The last bin also holds what is farther. Held out are some of the dataset's own
-/// episodes, each compared with all others.
+/// Distances are d/√d, which does not saturate; a step up to γ scores 1. The last bin also holds what is farther. Held
+/// out are some of the dataset's own episodes, each compared with all others.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct DistributionArgs {
     /// Rollouts: Parquet files with an observation and an action column, or any dataset
