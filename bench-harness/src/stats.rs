@@ -10,7 +10,7 @@ mod wilson;
 
 use serde::Serialize;
 
-pub use bootstrap::{BootstrapOptions, bootstrap_mean};
+pub use bootstrap::{BootstrapOptions, bootstrap_mean, bootstrap_pooled};
 pub use iqm::{interquartile_mean, stratified_iqm};
 pub use paired::{McNemar, UnequalLengths, mcnemar, paired_difference};
 pub use wilson::wilson;

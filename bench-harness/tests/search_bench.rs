@@ -83,6 +83,45 @@ fn all_but_the_times_repeats() {
     assert_eq!(scores(1), scores(2));
 }
 
+/// Episodes of very different lengths: a mean over episodes is another number than that over steps.
+#[test]
+fn the_difference_is_that_of_the_k_sims_beside_it() {
+    let walk = |episodes: &[usize], pace: f64| {
+        let mut data = Trajectories::new(3, 1).unwrap();
+        for (episode, &n) in episodes.iter().enumerate() {
+            let value = |i: usize| ((i + 31 * episode) as f64 * pace).sin() * (1 + episode) as f64;
+            let states: Vec<f64> = (0..3 * n).map(value).collect();
+            data.push(episode as i64, &states, &states[..n]).unwrap();
+        }
+        data
+    };
+    let source = StepSource::Recorded {
+        dataset: walk(&[300, 300, 300], 0.37),
+        rollouts: vec![("uneven".to_owned(), walk(&[7, 150, 20, 3], 0.53))],
+        seed: 0,
+    };
+    let about = SourcePart {
+        dataset: Some("d".to_owned()),
+        rollouts: vec!["uneven".to_owned()],
+    };
+    let plan = SearchPlan {
+        rows: vec![900],
+        widths: vec![3],
+        engines: vec![Search::Linear, Search::Clusters],
+        n_clusters: vec![40],
+        n_neighbors: 5,
+        ..plan()
+    };
+    let report = run(&source, about, &plan, &mut |_| ()).unwrap();
+    let exact = report.measurements.iter().find(|one| one.exact).unwrap();
+    let clusters = report.measurements.iter().find(|one| !one.exact).unwrap();
+    let difference = clusters.approximation.unwrap().score_difference;
+    assert!(difference.value.abs() > 1e-4, "{difference:?}");
+    assert!((difference.value - (clusters.k_sim - exact.k_sim)).abs() < 1e-9);
+    let [low, high] = difference.interval.unwrap();
+    assert!(low <= difference.value && difference.value <= high);
+}
+
 #[test]
 fn a_plan_that_does_not_fit_is_refused() {
     let mut dataset = Trajectories::new(2, 1).unwrap();
@@ -105,4 +144,27 @@ fn a_plan_that_does_not_fit_is_refused() {
         error,
         SearchBenchError::Width { asked: 3, found: 2 }
     ));
+    for empty in [
+        SearchPlan {
+            engines: vec![Search::KdTree],
+            widths: vec![31],
+            ..plan()
+        },
+        SearchPlan {
+            threads: Vec::new(),
+            ..plan()
+        },
+        SearchPlan {
+            rows: Vec::new(),
+            ..plan()
+        },
+    ] {
+        let about = SourcePart {
+            dataset: None,
+            rollouts: Vec::new(),
+        };
+        let generated = StepSource::Generated { seed: 0 };
+        let error = run(&generated, about, &empty, &mut |_| ()).unwrap_err();
+        assert!(matches!(error, SearchBenchError::EmptyPlan { .. }));
+    }
 }

@@ -48,6 +48,10 @@ pub const NEXT_OBSERVATION: &str = "next_observation";
 pub const INFO: &str = "info";
 /// The column that says whether a step reached the goal.
 pub const INFO_SUCCESS: &str = "info.success";
+/// Root of the columns with the scores of a step, as `ksim export` adds them.
+pub const INFO_K_SIM: &str = "info.k_sim";
+/// Root of the columns with the demonstration's step that a step was matched with.
+pub const INFO_DEMONSTRATION: &str = "info.demonstration";
 
 /// Schema metadata: version of this layout.
 pub const VERSION_KEY: &str = "episodes.version";

@@ -10,9 +10,11 @@ use super::{px, text};
 const LEFT: f64 = 58.0;
 const TOP: f64 = 34.0;
 const BOTTOM: f64 = 40.0;
-/// Room right of the lines, and for their names if they have some.
+/// Room right of the lines, and for their names if they have some: as much as these need, within bounds.
 const RIGHT: f64 = 18.0;
-const NAMES: f64 = 150.0;
+const NAMES: [f64; 2] = [150.0, 300.0];
+/// Pixels left and right of a name.
+const BESIDE: [f64; 2] = [8.0, 6.0];
 /// Pixels between two names, at least.
 const NAME_STEP: f64 = 12.0;
 
@@ -61,6 +63,8 @@ pub(super) struct Chart {
     pub(super) across: Across,
     pub(super) y_label: &'static str,
     pub(super) y_scale: Scale,
+    /// A number to mark across, and its name.
+    pub(super) mark: Option<(f64, String)>,
     pub(super) series: Vec<Series>,
     /// Pixels of the part with the lines.
     pub(super) size: [f64; 2],
@@ -145,8 +149,13 @@ fn number(value: f64) -> String {
 impl Chart {
     /// Pixels of the whole panel.
     pub(super) fn outer_size(&self) -> [f64; 2] {
-        let is_named = self.series.iter().any(|series| !series.name.is_empty());
-        let right = if is_named { NAMES } else { RIGHT };
+        let names = self.series.iter().filter(|series| !series.name.is_empty());
+        let widest = names
+            .map(|series| text_width(&series.name))
+            .reduce(f64::max);
+        let right = widest.map_or(RIGHT, |widest| {
+            (widest + BESIDE[0] + BESIDE[1]).clamp(NAMES[0], NAMES[1])
+        });
         [LEFT + self.size[0] + right, TOP + self.size[1] + BOTTOM]
     }
 
@@ -173,6 +182,13 @@ impl Chart {
         let mut group = Group::new()
             .add(text(&self.title, [LEFT, 18.0], 12.0, "start").set("font-weight", "bold"))
             .add(self.frame(&x, &y));
+        if let Some((value, name)) = &self.mark
+            && let Some(at) = x.at(*value).filter(|at| (LEFT..=right).contains(at))
+        {
+            let mark = straight([at, TOP], [at, bottom], "#777").set("stroke-dasharray", "2 3");
+            let name = text(name, [at + 3.0, TOP + 9.0], 10.0, "start");
+            group = group.add(mark).add(name);
+        }
         let mut names: Vec<(f64, &Series)> = Vec::new();
         for series in &self.series {
             group = group.add(line(series, &x, &y));
@@ -182,11 +198,10 @@ impl Chart {
             }
         }
         names.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut least = f64::NEG_INFINITY;
-        for (at, series) in names {
-            let at = at.max(least);
-            least = at + NAME_STEP;
-            let name = text(&series.name, [right + 8.0, at + 3.5], 10.0, "start");
+        let places = spread(names.iter().map(|(at, _)| *at).collect(), [TOP, bottom]);
+        for (at, (_, series)) in places.into_iter().zip(names) {
+            let shown = shortened(&series.name, NAMES[1] - BESIDE[0] - BESIDE[1]);
+            let name = text(&shown, [right + BESIDE[0], at + 3.5], 10.0, "start");
             group = group.add(name.set("fill", color(series)));
         }
         group
@@ -224,6 +239,52 @@ impl Chart {
             .add(text(&self.x_label, below, 11.0, "middle"))
             .add(text(self.y_label, [14.0, middle], 11.0, "middle").set("transform", turn))
     }
+}
+
+/// Ascending places of names, moved as little as keeps them apart and between both ends.
+fn spread(mut places: Vec<f64>, [top, bottom]: [f64; 2]) -> Vec<f64> {
+    let n_gaps = places.len().saturating_sub(1).max(1);
+    let step = NAME_STEP.min((bottom - top) / n_gaps as f64);
+    let mut least = top;
+    for place in &mut places {
+        *place = place.max(least);
+        least = *place + step;
+    }
+    let mut most = bottom;
+    for place in places.iter_mut().rev() {
+        *place = place.min(most);
+        most = *place - step;
+    }
+    places
+}
+
+/// Pixels that a name takes at 10 pixels to the em, about: fonts differ, so rather more.
+fn text_width(name: &str) -> f64 {
+    let width = |c: char| match c {
+        'i' | 'j' | 'l' | '.' | ',' | ':' | ';' | '|' | '\'' | ' ' | '-' | '/' | '·' | '…' => {
+            4.0
+        }
+        'm' | 'w' | 'M' | 'W' | '@' | '%' => 10.0,
+        'A'..='Z' => 7.5,
+        c if c.is_ascii() => 6.5,
+        _ => 10.0,
+    };
+    name.chars().map(width).sum()
+}
+
+/// The name, without its middle if it takes more pixels: what tells names apart is mostly at an end.
+fn shortened(name: &str, pixels: f64) -> String {
+    if text_width(name) <= pixels {
+        return name.to_owned();
+    }
+    let chars: Vec<char> = name.chars().collect();
+    let shown = |n: usize| {
+        let (front, back) = (n.div_ceil(2), n / 2);
+        let ends = chars[..front].iter().chain(['…'].iter());
+        ends.chain(&chars[chars.len() - back..]).collect::<String>()
+    };
+    let fits = |n: &usize| text_width(&shown(*n)) <= pixels;
+    shown((0..chars.len()).rev().find(fits).unwrap_or(0))
 }
 
 fn color(series: &Series) -> &'static str {
@@ -285,6 +346,52 @@ mod tests {
         assert_eq!(axis([1e4, 1e7]).ticks(), [1e4, 1e5, 1e6, 1e7]);
         assert_eq!(axis([10.0, 60.0]).ticks(), [10.0, 20.0, 50.0]);
         assert_eq!(axis([5.0, 5.0]).ticks(), [5.0]);
+    }
+
+    #[test]
+    fn names_stay_apart_and_inside() {
+        let ends = vec![100.0, 185.0, 188.0, 189.0];
+        assert_eq!(spread(ends, [0.0, 190.0]), [100.0, 166.0, 178.0, 190.0]);
+        let many = spread(vec![190.0; 39], [0.0, 190.0]);
+        assert_eq!((many[0], many[38]), (0.0, 190.0));
+        assert!(
+            many.windows(2)
+                .all(|pair| (pair[1] - pair[0] - 5.0).abs() < 1e-9)
+        );
+    }
+
+    #[test]
+    fn a_long_name_has_more_room_or_keeps_its_ends() {
+        let name = "a_rather_long_name_of_rollouts · planner.parquet";
+        assert_eq!(shortened(name, 400.0), name);
+        let short = shortened(name, 100.0);
+        assert!(
+            short.starts_with("a_rath") && short.ends_with("arquet"),
+            "{short}"
+        );
+        assert!(text_width(&short) <= 100.0);
+        let width = |name: &str| {
+            let series = Series {
+                name: name.to_owned(),
+                color: 0,
+                stroke: Stroke::Plain,
+                points: Vec::new(),
+            };
+            let chart = Chart {
+                title: String::new(),
+                x_label: String::new(),
+                across: Across::Names(Vec::new()),
+                y_label: "",
+                y_scale: Scale::Linear,
+                mark: None,
+                series: vec![series],
+                size: [100.0, 100.0],
+            };
+            chart.outer_size()[0] - LEFT - 100.0
+        };
+        assert_eq!([width(""), width("a")], [RIGHT, NAMES[0]]);
+        assert!((200.0..NAMES[1]).contains(&width(&name[..39])));
+        assert_eq!(width(&name.repeat(3)), NAMES[1]);
     }
 
     #[test]

@@ -130,6 +130,7 @@ fn chart(curve: &Curve, across: &chart::Across, x_label: &str) -> Chart {
         across: across.clone(),
         y_label: "",
         y_scale: curve.scale,
+        mark: None,
         series: vec![Series {
             name: String::new(),
             color: 0,

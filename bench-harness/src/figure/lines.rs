@@ -11,6 +11,8 @@ const SIZE: [f64; 2] = [460.0, 190.0];
 const HEAD: f64 = 26.0;
 /// The color of what others are compared with: the last of the palette.
 const DARK: usize = 6;
+/// Lines of a panel, beside dashed ones, that have a color each.
+pub const MAX_LINES: usize = DARK;
 
 /// A panel of lines.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,6 +23,8 @@ pub struct Panel {
     pub x_label: String,
     /// What lies from bottom to top.
     pub y_label: &'static str,
+    /// A number of the x axis to mark, and its name.
+    pub mark: Option<(f64, String)>,
     /// Its lines, in the order of their colors; dashed ones are dark.
     pub lines: Vec<Line>,
 }
@@ -43,7 +47,9 @@ pub fn draw(heading: &str, panels: &[Panel]) -> Option<String> {
         return None;
     }
     let charts: Vec<Chart> = panels.iter().map(chart).collect();
-    let [width, panel_height] = charts[0].outer_size();
+    let panel_height = charts[0].outer_size()[1];
+    let widths = charts.iter().map(|chart| chart.outer_size()[0]);
+    let width = widths.fold(0.0, f64::max);
     let mut group = Group::new();
     for (place, chart) in charts.iter().enumerate() {
         let at = format!("translate(0 {})", px(HEAD + panel_height * place as f64));
@@ -81,6 +87,7 @@ fn chart(panel: &Panel) -> Chart {
         },
         y_label: panel.y_label,
         y_scale: Scale::Linear,
+        mark: panel.mark.clone(),
         series: series.collect(),
         size: SIZE,
     }
@@ -101,11 +108,18 @@ mod tests {
             title: "a<b".to_owned(),
             x_label: "step".to_owned(),
             y_label: "K-Sim",
+            mark: Some((0.25, "γ".to_owned())),
             lines: vec![line("one", false), line("held out", true)],
         };
         let svg = draw("", &[panel.clone(), panel.clone()]).unwrap();
         assert_eq!(draw("", &[panel.clone(), panel.clone()]), Some(svg.clone()));
-        assert_eq!(svg.matches("stroke-dasharray").count(), 2);
+        assert_eq!(svg.matches("stroke-dasharray=\"5 4\"").count(), 2);
+        // A quarter of the way between the points, which are 6 % of it inside.
+        assert_eq!(
+            svg.matches("x1=\"185.32\" x2=\"185.32\" y1=\"34\"").count(),
+            2,
+            "{svg}"
+        );
         assert!(svg.contains("a&lt;b") && svg.contains("held out"), "{svg}");
         let empty = Panel {
             lines: Vec::new(),

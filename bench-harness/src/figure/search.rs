@@ -40,7 +40,9 @@ pub fn draw(heading: &str, report: &SearchReport) -> Option<String> {
     if charts.is_empty() {
         return None;
     }
-    let [panel_width, panel_height] = charts[0].outer_size();
+    let panel_height = charts[0].outer_size()[1];
+    let widths = charts.iter().map(|chart| chart.outer_size()[0]);
+    let panel_width = widths.fold(0.0, f64::max);
     let (width, height) = (panel_width * charts.len() as f64, HEAD + panel_height);
     let mut panels = Group::new();
     for (place, chart) in charts.iter().enumerate() {
@@ -105,6 +107,7 @@ fn time_over_rows(all: &[Measurement]) -> Chart {
         across: COUNTS,
         y_label: "µs per query",
         y_scale: Scale::Logarithmic,
+        mark: None,
         series: series.collect(),
         size: SIZE,
     }
@@ -164,6 +167,7 @@ fn over_clusters(shown: &[&Measurement]) -> Vec<Chart> {
         across: COUNTS,
         y_label,
         y_scale,
+        mark: None,
         series,
         size: SIZE,
     };

@@ -11,6 +11,17 @@ pub enum SearchBenchError {
         "the dataset has one episode, so none can be held out to ask with: give rollouts, or a dataset of several episodes"
     )]
     NothingToAsk,
+    /// Sizes, widths, engines, clusters or threads of which none go together.
+    #[error(
+        "nothing to measure: engines {engines} on states of {widths} columns (kd-tree takes at most {})",
+        ksim::KdTree::MAX_FEATURES
+    )]
+    EmptyPlan {
+        /// The engines asked for.
+        engines: String,
+        /// The widths asked for.
+        widths: String,
+    },
     /// Wider states than there are.
     #[error("a width of {asked} columns was asked for, the states have {found}")]
     Width {

@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use ksim::{
-    KMeans, KSim, KSimParams, MatrixView, NeighborIndex, Neighbors, Report, Search, SearchRequest,
-    Trajectories,
+    ApproximationError, KMeans, KSim, KSimParams, MatrixView, NeighborIndex, Neighbors, Report,
+    Search, SearchRequest, Trajectories,
 };
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -12,7 +12,7 @@ use super::memory::PeakMemory;
 use super::report::{Approximation, Measurement, SCHEMA, SearchReport, SourcePart};
 use super::source::ReferenceData;
 use super::{SearchBenchError, SearchPlan, StepSource};
-use crate::stats::{BootstrapOptions, Estimate, bootstrap_mean};
+use crate::stats::{BootstrapOptions, Estimate, bootstrap_pooled};
 
 /// Queries that start the threads before the first timed batch.
 const WARM_UP: usize = 64;
@@ -28,6 +28,15 @@ pub fn run(
     say: &mut dyn FnMut(&str),
 ) -> Result<SearchReport, SearchBenchError> {
     source.check()?;
+    let is_measured = |width: &usize| !configurations(plan, *width).is_empty();
+    if plan.rows.is_empty() || !plan.widths.iter().any(is_measured) {
+        let engines: Vec<String> = plan.engines.iter().map(ToString::to_string).collect();
+        let widths: Vec<String> = plan.widths.iter().map(ToString::to_string).collect();
+        return Err(SearchBenchError::EmptyPlan {
+            engines: engines.join(", "),
+            widths: widths.join(", "),
+        });
+    }
     if let Some(found) = source.state_dim()
         && let Some(&asked) = plan.widths.iter().find(|&&width| width > found)
     {
@@ -151,9 +160,14 @@ impl Bench {
         let started = Instant::now();
         let engine = pool.install(|| self.oracle.with_params(params))?;
         let build_s = started.elapsed().as_secs_f64();
+        let built = memory.and_then(|memory| Some([memory.rise()?, memory.kept()?]));
         let mut measurements = Vec::with_capacity(self.sets.len());
         for set in &self.sets {
+            let searching = PeakMemory::start();
             let timed = set.time(engine.index(), &pool, plan)?;
+            // Before the comparison, which takes memory that is not the engine's.
+            let searching = searching.and_then(|memory| memory.rise());
+            let memory = built.zip(searching);
             let approximation = set.compare(&engine, &timed.found, plan)?;
             let kmeans = engine.index().kmeans();
             let reference = self.oracle.index();
@@ -172,7 +186,7 @@ impl Bench {
                 kmeans_iterations: kmeans.and_then(KMeans::n_iterations),
                 inertia: kmeans.map(KMeans::inertia),
                 reference_bytes: 8 * (reference.n_rows() * reference.n_features()) as u64,
-                memory_bytes: memory.as_ref().and_then(PeakMemory::rise),
+                memory_bytes: memory.map(|([peak, kept], rise)| peak.max(kept + rise)),
                 query_s: timed.query_s,
                 single_query_s: timed.single_query_s,
                 n_checked: set.checked.len(),
@@ -198,7 +212,10 @@ impl QuerySet {
         (oracle, exact): (&KSim, &KSim),
         plan: &SearchPlan,
     ) -> Result<Self, SearchBenchError> {
-        let states = normalized_states(&data, oracle);
+        let states = oracle
+            .normalizers()
+            .0
+            .normalized_rows(data.states(), 0..data.n_rows());
         let n = data.n_rows();
         let n_checked = plan.n_checked.min(n);
         let checked: Vec<usize> = (0..n_checked).map(|i| i * n / n_checked).collect();
@@ -246,26 +263,43 @@ impl QuerySet {
             found = Some(pool.install(|| index.search(&all))?);
             query_s = query_s.min(started.elapsed().as_secs_f64() / n_queries as f64);
         }
-        let n_single = plan.n_single.min(n_queries);
-        let single_query_s = match n_single {
-            0 => None,
-            _ => {
-                let one = self::pool(1)?;
-                let started = Instant::now();
-                for i in 0..n_single {
-                    let query = i * n_queries / n_single;
-                    let request = request(&self.states[query * width..(query + 1) * width])?;
-                    one.install(|| index.search(&request))?;
-                }
-                Some(started.elapsed().as_secs_f64() / n_single as f64)
-            }
-        };
         // There is at least one repeat.
         let found = found.unwrap_or_else(|| self.exact.clone());
         Ok(Timed {
             query_s,
-            single_query_s,
+            single_query_s: self.time_single(index, plan)?,
             found,
+        })
+    }
+
+    /// Asks some queries one at a time, on one thread: seconds per query.
+    fn time_single(
+        &self,
+        index: &dyn NeighborIndex,
+        plan: &SearchPlan,
+    ) -> Result<Option<f64>, SearchBenchError> {
+        let (n_queries, width) = (self.data.n_rows(), index.n_features());
+        let n_single = plan.n_single.min(n_queries);
+        if n_single == 0 {
+            return Ok(None);
+        }
+        let ask = |i: usize| {
+            let query = i * n_queries / n_single;
+            let states = &self.states[query * width..(query + 1) * width];
+            let request = SearchRequest::new(MatrixView::new(states, width)?, plan.n_neighbors);
+            index.search(&request)?;
+            Ok::<_, SearchBenchError>(())
+        };
+        // All of it on the thread: handing every query over would take longer than some searches.
+        self::pool(1)?.install(|| {
+            ask(0)?;
+            let mut best = f64::INFINITY;
+            for _ in 0..plan.repeats.max(1) {
+                let started = Instant::now();
+                (0..n_single).try_for_each(ask)?;
+                best = best.min(started.elapsed().as_secs_f64() / n_single as f64);
+            }
+            Ok(Some(best))
         })
     }
 
@@ -281,31 +315,28 @@ impl QuerySet {
             return Ok(None);
         }
         let report = engine.score(&self.data)?;
-        let pairs = || report.steps.iter().zip(&self.report.steps);
-        let n = report.steps.len() as f64;
-        let differs = pairs().filter(|(own, exact)| own.reference_row != exact.reference_row);
-        let difference =
-            |(own, exact): (&ksim::StepScore, &ksim::StepScore)| own.score - exact.score;
-        let of_episodes: Vec<f64> = report
-            .episodes
-            .iter()
-            .zip(&self.report.episodes)
-            .map(|(own, exact)| own.k_sim - exact.k_sim)
+        let error = ApproximationError::between((found, &report), (&self.exact, &self.report));
+        let episodes = report.episodes.iter().zip(&self.report.episodes);
+        let differences: Vec<(f64, usize)> = episodes
+            .map(|(own, exact)| {
+                let difference = own.k_sim - exact.k_sim;
+                (difference * exact.n_steps as f64, exact.n_steps)
+            })
             .collect();
         let options = BootstrapOptions {
             n_resamples: plan.n_resamples,
             seed: plan.seed,
             ..BootstrapOptions::default()
         };
-        let nothing = Estimate {
-            value: 0.0,
-            interval: None,
-        };
+        let pooled = bootstrap_pooled(&differences, &options);
         let approximation = Approximation {
-            recall_at_k: self.recall(found),
-            match_differs_share: differs.count() as f64 / n,
-            score_difference: bootstrap_mean(&of_episodes, &options).unwrap_or(nothing),
-            max_score_difference: pairs().map(difference).map(f64::abs).fold(0.0, f64::max),
+            recall_at_k: error.recall,
+            match_differs_share: error.match_differs_share,
+            score_difference: Estimate {
+                value: error.mean_score_difference,
+                interval: pooled.and_then(|pooled| pooled.interval),
+            },
+            max_score_difference: error.max_score_difference,
         };
         Ok(Some((report.state_action.pooled, approximation)))
     }
@@ -324,22 +355,6 @@ impl QuerySet {
             }),
         }
     }
-
-    /// Mean share of the true nearest rows that were found.
-    fn recall(&self, found: &Neighbors) -> f64 {
-        let rows = |neighbors: &Neighbors, query| {
-            let mut rows: Vec<u32> = neighbors.of(query).iter().map(|one| one.row).collect();
-            rows.sort_unstable();
-            rows
-        };
-        let n = found.n_queries();
-        let share = |query: usize| {
-            let (own, exact) = (rows(found, query), rows(&self.exact, query));
-            let hits = own.iter().filter(|row| exact.binary_search(row).is_ok());
-            hits.count() as f64 / exact.len().max(1) as f64
-        };
-        (0..n).map(share).sum::<f64>() / n.max(1) as f64
-    }
 }
 
 fn params(plan: &SearchPlan) -> KSimParams {
@@ -353,19 +368,4 @@ fn params(plan: &SearchPlan) -> KSimParams {
 fn pool(n_threads: usize) -> Result<ThreadPool, SearchBenchError> {
     let pool = ThreadPoolBuilder::new().num_threads(n_threads).build();
     pool.map_err(|source| SearchBenchError::Threads { n_threads, source })
-}
-
-/// The states in units of the reference's standard deviations, row-major.
-fn normalized_states(data: &Trajectories, reference: &KSim) -> Vec<f64> {
-    let (normalizer, _) = reference.normalizers();
-    let width = data.state_dim();
-    let mut action = vec![0.0; data.action_dim()];
-    let mut states = vec![0.0; data.n_rows() * width];
-    for (row, state) in states.chunks_exact_mut(width).enumerate() {
-        data.read_step(row, state, &mut action);
-        for (column, value) in state.iter_mut().enumerate() {
-            *value = normalizer.normalize(column, *value);
-        }
-    }
-    states
 }

@@ -21,6 +21,11 @@ impl PeakMemory {
     pub(super) fn rise(&self) -> Option<u64> {
         Some(status_bytes("VmHWM:")?.saturating_sub(self.before))
     }
+
+    /// Bytes that are resident now beyond what was at the start.
+    pub(super) fn kept(&self) -> Option<u64> {
+        Some(status_bytes("VmRSS:")?.saturating_sub(self.before))
+    }
 }
 
 fn status_bytes(field: &str) -> Option<u64> {
@@ -41,6 +46,7 @@ mod tests {
         };
         let block = vec![1u8; 64 << 20];
         assert!(block.iter().map(|&b| u64::from(b)).sum::<u64>() > 0);
+        assert!(memory.kept().unwrap() > 60 << 20);
         drop(block);
         assert!(memory.rise().unwrap() > 60 << 20);
     }

@@ -1,8 +1,8 @@
 //! Measures the search engines of `ksim` against each other: time, memory, and what approximation costs.
 //!
-//! Times are the best of several repeats; nothing else depends on the machine or on the number of threads. Every exact
-//! engine is held to the oracle `linear` on some of the queries, to the last bit: a difference is an error, not a
-//! figure in the table.
+//! Times are the best of several repeats, but for that of the one build; beside them and memory nothing depends on the
+//! machine or on the number of threads. Every exact engine is held to the oracle `linear` on some of the queries, to
+//! the last bit: a difference is an error, not a figure in the table.
 
 mod error;
 mod measure;

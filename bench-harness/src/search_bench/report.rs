@@ -60,7 +60,7 @@ pub struct Measurement {
     pub queries: String,
     /// Number of queries.
     pub n_queries: usize,
-    /// Seconds to build the index over normalized states, k-means included.
+    /// Seconds to build the index over normalized states, k-means included: built once.
     pub build_s: f64,
     /// Iterations of k-means on all rows, where there are clusters of our own.
     pub kmeans_iterations: Option<usize>,
@@ -69,13 +69,15 @@ pub struct Measurement {
     /// Bytes of the normalized states, which every engine reads and none copies: 8 a value.
     pub reference_bytes: u64,
     /// Peak of resident memory during build and search, above what was resident before, the states included:
-    /// what the index and its use cost on top of the reference. `None` where the system does not say.
+    /// what the index and its use cost on top of the reference. Memory that the process had taken and freed before does
+    /// not show, so that of several engines in a run only the first has all of it. `None` where the system does not
+    /// say.
     pub memory_bytes: Option<u64>,
     /// Seconds per query in one batch.
     pub query_s: f64,
-    /// Seconds per query asked one at a time, on one thread; `None` if none were.
+    /// Seconds per query asked one at a time, on one thread: the best mean of the repeats; `None` if none were.
     pub single_query_s: Option<f64>,
-    /// Queries that the oracle answered too, all alike if the engine is exact.
+    /// Queries that the oracle answered too, all alike if the engine is exact; 0 says nothing.
     pub n_checked: usize,
     /// K-Sim: mean over all queries.
     pub k_sim: f64,
@@ -90,7 +92,7 @@ pub struct Approximation {
     pub recall_at_k: f64,
     /// Share of queries matched with another row.
     pub match_differs_share: f64,
-    /// Approximate less exact score: mean over episodes, with the 95 % bootstrap interval over episodes.
+    /// K-Sim less that of exact search, both means over all queries, with the 95 % bootstrap interval over episodes.
     pub score_difference: Estimate,
     /// The largest difference of a query, either way.
     pub max_score_difference: f64,

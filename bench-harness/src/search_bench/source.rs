@@ -278,7 +278,8 @@ fn disturbed(
     Ok(data)
 }
 
-/// A run of consecutive steps from every episode, from early in the first to late in the last: `n_queries` at most.
+/// A run of consecutive steps from every episode, from early in the first to late in the last: `n_queries` at most, and
+/// as many of every episode as there are in it.
 fn thinned(
     data: &Trajectories,
     n_queries: usize,
@@ -286,16 +287,14 @@ fn thinned(
 ) -> Result<Trajectories, SearchBenchError> {
     let mut queries = Trajectories::new(width, data.action_dim())?;
     let mut copier = Copier::new(data);
-    let n_episodes = data.episodes().len();
-    let per_episode = n_queries.div_ceil(n_episodes.max(1)).max(1);
-    for (at, episode) in data.episodes().iter().enumerate() {
-        let left = n_queries.saturating_sub(queries.n_rows());
-        let n = per_episode.min(episode.rows.len()).min(left);
+    let episodes = data.episodes();
+    let lengths: Vec<usize> = episodes.iter().map(|episode| episode.rows.len()).collect();
+    for (at, (episode, n)) in episodes.iter().zip(shares(&lengths, n_queries)).enumerate() {
         if n == 0 {
             continue;
         }
         let slack = episode.rows.len() - n;
-        let start = episode.rows.start + slack * at / n_episodes.saturating_sub(1).max(1);
+        let start = episode.rows.start + slack * at / (episodes.len() - 1).max(1);
         copier.push(
             &mut queries,
             episode.episode_index,
@@ -304,6 +303,25 @@ fn thinned(
         )?;
     }
     Ok(queries)
+}
+
+/// Equal shares of `n` steps; what short episodes leave over goes to the others.
+fn shares(lengths: &[usize], n: usize) -> Vec<usize> {
+    let mut shares = vec![0; lengths.len()];
+    let mut left = n.min(lengths.iter().sum());
+    while left > 0 {
+        let all = 0..lengths.len();
+        let open: Vec<usize> = all.filter(|&at| shares[at] < lengths[at]).collect();
+        let (total, n_open) = (left, open.len());
+        for (i, at) in open.into_iter().enumerate() {
+            // Rounded so that the shares add up, and the larger ones are spread over all.
+            let share = (i + 1) * total / n_open - i * total / n_open;
+            let more = share.min(lengths[at] - shares[at]);
+            shares[at] += more;
+            left -= more;
+        }
+    }
+    shares
 }
 
 /// Mean and standard deviation of every column, state then action.
@@ -416,6 +434,18 @@ mod tests {
         };
         assert_eq!((value(0), value(29)), (0.0, 138.0));
         assert!(value(30) != 0.0 && value(30).abs() < 3.0, "{}", value(30));
+    }
+
+    #[test]
+    fn every_episode_has_its_share_of_the_queries() {
+        assert_eq!(shares(&[10; 4], 6), [1, 2, 1, 2]);
+        assert_eq!(shares(&[10; 6], 3), [0, 1, 0, 1, 0, 1]);
+        // What the short ones leave goes to the long ones.
+        assert_eq!(shares(&[1, 100, 2, 100], 40), [1, 18, 2, 19]);
+        assert_eq!(shares(&[3, 0, 5], 100), [3, 0, 5]);
+        assert!(shares(&[], 5).is_empty());
+        let late = thinned(&walk(&[10; 7]), 10, 2).unwrap();
+        assert_eq!((late.n_rows(), late.episodes().len()), (10, 7));
     }
 
     #[test]

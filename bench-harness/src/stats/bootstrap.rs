@@ -39,6 +39,26 @@ pub fn bootstrap_mean(values: &[f64], options: &BootstrapOptions) -> Option<Esti
     })
 }
 
+/// Mean over the members of all groups, each given by its sum and its number of members, with the interval of
+/// [`bootstrap_mean`] over groups: a resample draws as many groups and pools their members. `None` for no members.
+pub fn bootstrap_pooled(groups: &[(f64, usize)], options: &BootstrapOptions) -> Option<Estimate> {
+    let filled = groups.iter().copied().filter(|(_, n)| *n > 0);
+    let groups: Vec<(f64, usize)> = filled.collect();
+    if groups.is_empty() {
+        return None;
+    }
+    let pooled = |drawn: &mut dyn Iterator<Item = (f64, usize)>| {
+        let (sum, n) = drawn.fold((0.0, 0), |(sum, n), one| (sum + one.0, n + one.1));
+        sum / n as f64
+    };
+    Some(Estimate {
+        value: pooled(&mut groups.iter().copied()),
+        interval: interval(groups.len() > 1, options, |rng| {
+            pooled(&mut (0..groups.len()).map(|_| groups[rng.below(groups.len())]))
+        }),
+    })
+}
+
 pub(super) fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
@@ -105,6 +125,21 @@ mod tests {
         assert_eq!((one.value, one.interval), (2.0, None));
         let same = bootstrap_mean(&[2.0, 2.0], &options).unwrap();
         assert_eq!(same.interval, Some([2.0, 2.0]));
+    }
+
+    #[test]
+    fn groups_count_by_their_members() {
+        let options = BootstrapOptions::default();
+        let estimate = bootstrap_pooled(&[(9.0, 9), (0.0, 1), (0.0, 0)], &options).unwrap();
+        // A resample has both groups, or one of them twice.
+        assert_eq!((estimate.value, estimate.interval), (0.9, Some([0.0, 1.0])));
+        let values = [1.0, 4.0, 2.0, 8.0];
+        let single = values.map(|value| (value, 1));
+        assert_eq!(
+            bootstrap_pooled(&single, &options),
+            bootstrap_mean(&values, &options)
+        );
+        assert_eq!(bootstrap_pooled(&[(0.0, 0)], &options), None);
     }
 
     #[test]

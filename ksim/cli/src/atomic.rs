@@ -110,6 +110,14 @@ impl Write for AtomicFile {
     }
 }
 
+/// Writes a whole file.
+pub(crate) fn write(target: &Path, bytes: &[u8]) -> Result<()> {
+    let mut file = AtomicFile::create(target)?;
+    let written = file.write_all(bytes);
+    written.with_context(|| format!("cannot write {}", target.display()))?;
+    file.publish()
+}
+
 /// Refuses a target that could not be written in the end, before anything is computed.
 pub(crate) fn check_target(target: &Path) -> Result<()> {
     if target.is_dir() {
@@ -213,7 +221,7 @@ mod tests {
     fn nothing_is_visible_before_the_end() {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("out.bin");
-        std::fs::write(&target, "old").unwrap();
+        write(&target, b"old").unwrap();
         let mut file = AtomicFile::create(&target).unwrap();
         file.write_all(b"new").unwrap();
         assert_eq!(std::fs::read(&target).unwrap(), b"old");

@@ -2,6 +2,8 @@
 //!
 //! The order of the fields here is the order in the JSON.
 
+use std::path::Path;
+
 use ksim::{ApproximationError, KSim, Report};
 use ksim_datasets::DatasetInfo;
 use serde::Serialize;
@@ -231,6 +233,16 @@ impl DatasetPart {
             episode_rule: info.episode_rule.clone(),
             warnings: info.warnings.iter().map(ToString::to_string).collect(),
         }
+    }
+
+    /// The name for others to read: of a dataset that was given by its path only the last part.
+    pub(crate) fn public_name(&self) -> String {
+        let is_path = self.name == self.path || self.name.starts_with(['/', '.', '~']);
+        let last = Path::new(&self.name).file_name().filter(|_| is_path);
+        last.map_or_else(
+            || self.name.clone(),
+            |last| last.to_string_lossy().into_owned(),
+        )
     }
 }
 

@@ -1,11 +1,10 @@
 //! Figures as files: SVG as it is drawn, PNG and PDF made of it.
 
-use std::io::Write as _;
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Result, bail};
 
-use crate::atomic::AtomicFile;
+use crate::atomic;
 
 /// How a figure is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,10 +52,7 @@ pub(crate) fn write(path: &Path, svg: &str) -> Result<()> {
         #[cfg(not(feature = "figures"))]
         Form::Png | Form::Pdf => bail!("this build draws SVG only"),
     };
-    let mut file = AtomicFile::create(path)?;
-    let written = file.write_all(&bytes);
-    written.with_context(|| format!("cannot write {}", path.display()))?;
-    file.publish()
+    atomic::write(path, &bytes)
 }
 
 /// SVG in other forms. Text is set in a font of the machine: another machine may set it in another.

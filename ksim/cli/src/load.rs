@@ -2,7 +2,8 @@
 
 use std::borrow::Cow;
 use std::collections::HashMap;
-use std::path::Path;
+use std::fmt;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use arrow::datatypes::DataType;
@@ -16,6 +17,16 @@ use crate::context::Context;
 
 /// Column that tells whose rollouts a row belongs to.
 pub(crate) const PLANNER: &str = "info.planner";
+
+/// A file of rollouts without steps, or without any yet.
+#[derive(Debug)]
+pub(crate) struct NoSteps(PathBuf);
+
+impl fmt::Display for NoSteps {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: no steps", self.0.display())
+    }
+}
 
 /// The steps of one planner, or of a whole file.
 #[derive(Debug)]
@@ -261,7 +272,7 @@ pub(crate) fn rollouts(
         context,
     )?;
     if groups.is_empty() {
-        bail!("{}: no steps", source.info().path.display());
+        return Err(anyhow::Error::msg(NoSteps(source.info().path.clone())));
     }
     Ok(groups)
 }

@@ -19,14 +19,19 @@ pub(crate) enum OutputFormat {
 
 /// Writes a result to stdout.
 pub(crate) fn text(text: &str) -> Result<()> {
+    send(text).map(|_| ())
+}
+
+/// Writes a result to stdout; tells whether anyone still reads there.
+pub(crate) fn send(text: &str) -> Result<bool> {
     let mut stdout = io::stdout().lock();
     match stdout
         .write_all(printable(text).as_bytes())
         .and_then(|()| stdout.flush())
     {
         // The reader had enough, as `head` does.
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
-        result => result.context("cannot write to stdout"),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        result => result.map(|()| true).context("cannot write to stdout"),
     }
 }
 

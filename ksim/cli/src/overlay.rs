@@ -14,15 +14,21 @@ use arrow::datatypes::{DataType, Field, FieldRef, Int64Type, Schema, SchemaRef};
 use ksim::StepScore;
 use ksim_bench_harness::page::Scored;
 use ksim_datasets::{
-    DatasetSource, Format, Loss, McapEncoding, Scan, SinkInput, WriteOptions, schema,
+    DatasetSource, Format, Loss, McapEncoding, ObservationLayout, Scan, SinkInput, WriteOptions,
+    schema,
 };
 
 use crate::load::PLANNER;
 use crate::scoring::{ScoredRollouts, Session};
 
-/// Roots of the columns that are added.
-const K_SIM: &str = "info.k_sim";
-const DEMONSTRATION: &str = "info.demonstration";
+/// What is written of a step's score. Distances are those of `ksim score --per-step` by the root of the number of their
+/// columns, so that they compare with γ and with each other.
+const SCORES: [&str; 4] = [
+    "score",
+    "scaled_distance",
+    "scaled_state_distance",
+    "scaled_action_distance",
+];
 
 /// Writes an MCAP recording of the session's first file. Gives what the recording does not hold.
 pub(crate) fn write(
@@ -78,7 +84,7 @@ impl<'a> Overlay<'a> {
     ) -> Self {
         let known = source.schema();
         let is_kept = |name: &str| {
-            ![K_SIM, DEMONSTRATION]
+            ![schema::INFO_K_SIM, schema::INFO_DEMONSTRATION]
                 .iter()
                 .any(|root| schema::belongs_to(name, root))
         };
@@ -88,27 +94,36 @@ impl<'a> Overlay<'a> {
             .filter(|field| is_kept(field.name()))
             .cloned()
             .collect();
-        let leaves = leaves(session.state_names());
+        let added = |name: &str| format!("{}.{name}", schema::INFO_DEMONSTRATION);
         let vector = |name: &str, width: usize| -> FieldRef {
-            let name = format!("{DEMONSTRATION}.{name}");
-            Arc::new(schema::leaf_field(&name, DataType::Float64, &[width], true))
+            let width = [width];
+            Arc::new(schema::leaf_field(
+                &added(name),
+                DataType::Float64,
+                &width,
+                true,
+            ))
         };
-        let leaves: Vec<(FieldRef, Vec<usize>)> = leaves
+        let layout = ObservationLayout::new(&session.dataset().info().observation);
+        // The column, not the short name: a part of the state may be called `action` or `step_index`.
+        let column = |name: &str| {
+            let leaf = layout.leaves().iter().find(|leaf| leaf.name == name);
+            leaf.map_or_else(|| name.to_owned(), |leaf| leaf.column.clone())
+        };
+        let leaves: Vec<(FieldRef, Vec<usize>)> = leaves(session.state_names())
             .into_iter()
-            .map(|(name, places)| (vector(&name, places.len()), places))
+            .map(|(name, places)| (vector(&column(&name), places.len()), places))
             .collect();
         let action_dim = session.ksim().reference().actions().n_features();
-        let action = vector("action", action_dim);
+        let action = vector(schema::ACTION, action_dim);
         let scalar =
             |name: String, data_type| -> FieldRef { Arc::new(Field::new(name, data_type, true)) };
-        let scores = ["score", "distance", "state_distance", "action_distance"];
+        let score = |name: &str| format!("{}.{name}", schema::INFO_K_SIM);
         let mut fields = kept.clone();
-        fields.extend(scores.map(|name| scalar(format!("{K_SIM}.{name}"), DataType::Float64)));
-        fields.push(scalar(format!("{K_SIM}.saturated"), DataType::Boolean));
-        fields.extend(
-            ["episode_index", "step_index"]
-                .map(|name| scalar(format!("{DEMONSTRATION}.{name}"), DataType::Int64)),
-        );
+        fields.extend(SCORES.map(|name| scalar(score(name), DataType::Float64)));
+        fields.push(scalar(score("saturated"), DataType::Boolean));
+        let numbers = [schema::EPISODE_INDEX, schema::STEP_INDEX];
+        fields.extend(numbers.map(|name| scalar(added(name), DataType::Int64)));
         fields.extend(leaves.iter().map(|(field, _)| Arc::clone(field)));
         fields.push(Arc::clone(&action));
         Self {

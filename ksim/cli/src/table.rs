@@ -51,7 +51,7 @@ pub(crate) fn decimals(value: f64) -> String {
 }
 
 /// A number in full, or by its power of ten where that would be long.
-fn plain(value: f64) -> String {
+pub(crate) fn plain(value: f64) -> String {
     if is_readable(value) {
         value.to_string()
     } else {
@@ -129,7 +129,7 @@ pub(crate) fn results(document: &Document) -> String {
 }
 
 /// What the starred number is, and how far it follows a published definition.
-fn headline(document: &Document) -> String {
+pub(crate) fn headline(document: &Document) -> String {
     let parameters = &document.parameters;
     let is_paper = parameters.definition == Definition::Paper.name();
     let columns = match (parameters.own_columns, is_paper) {

@@ -110,8 +110,9 @@ impl<'a> Watched<'a> {
         let pooled = episodes().flatten().sum::<f64>() / n_steps as f64;
         let means = episodes().map(|scores| mean(scores)).sum::<f64>();
         format!(
-            "{} episodes, {n_steps} steps: K-Sim {pooled:.4}, episode mean {:.4}\n",
-            self.episodes.len(),
+            "{}, {}: K-Sim {pooled:.4}, episode mean {:.4}\n",
+            counted(self.episodes.len(), "episode"),
+            counted(n_steps, "step"),
             means / self.episodes.len() as f64
         )
     }
@@ -146,10 +147,16 @@ fn line((planner, number): &(Option<String>, i64), known: &Known, n_new: usize) 
         false => String::new(),
     };
     format!(
-        "episode {number}{planner}: {n} steps{new}, K-Sim {:.4} {}\n",
+        "episode {number}{planner}: {}{new}, K-Sim {:.4} {}\n",
+        counted(n, "step"),
         mean(&known.scores),
         sparkline::line(known.scores.iter().copied(), sparkline::WIDTH)
     )
+}
+
+/// `1 step`, `2 steps`.
+fn counted(n: usize, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
 
 fn mean(scores: &[f64]) -> f64 {

@@ -209,6 +209,19 @@ fn the_approximation_is_measured_against_the_truth() {
     let some = ApproximationError::measure(&clusters, &exact, &rollouts, false).unwrap();
     assert!(some.recall < 1.0 && some.match_differs_share > 0.0);
     assert!(some.max_score_difference >= some.mean_score_difference.abs());
+    // From answers that are there already it is the same.
+    let states = exact
+        .normalizers()
+        .0
+        .normalized_rows(rollouts.states(), 0..rollouts.n_rows());
+    let answers = |ksim: &KSim| {
+        let queries = MatrixView::new(&states, 2).unwrap();
+        let found = ksim.index().search(&SearchRequest::new(queries, 7));
+        (found.unwrap(), ksim.score(&rollouts).unwrap())
+    };
+    let (own, truth) = (answers(&clusters), answers(&exact));
+    let between = ApproximationError::between((&own.0, &own.1), (&truth.0, &truth.1));
+    assert_eq!(between, some);
 }
 
 #[test]

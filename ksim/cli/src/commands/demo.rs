@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use ksim_datasets::OpenOptions;
 
-use crate::atomic::AtomicFile;
+use crate::atomic;
 use crate::context::Context;
 use crate::document::Document;
 use crate::outcome::CommandOutcome;
@@ -97,12 +97,7 @@ fn export(folder: &Path) -> Result<CommandOutcome> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     for file in bundled() {
-        use std::io::Write as _;
-        let mut whole = AtomicFile::create(&folder.join(file.name))?;
-        whole
-            .write_all(file.bytes)
-            .with_context(|| format!("cannot write {}", file.name))?;
-        whole.publish()?;
+        atomic::write(&folder.join(file.name), file.bytes)?;
     }
     let at = |file: &Bundled| folder.join(file.name).display().to_string();
     let rollouts: Vec<String> = ROLLOUTS.iter().map(at).collect();

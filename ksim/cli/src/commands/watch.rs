@@ -1,15 +1,17 @@
 //! `ksim watch`.
 
-use std::path::Path;
+use std::io::ErrorKind;
 use std::thread::sleep;
 use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
+use ksim_datasets::{DatasetError, OpenOptions, SearchRoots};
 
 use crate::atomic::{self, Cooperative};
 use crate::context::Context;
 use crate::indexed::look;
+use crate::load::NoSteps;
 use crate::outcome::CommandOutcome;
 use crate::output;
 use crate::scoring::{Job, Session};
@@ -23,7 +25,8 @@ const NAP: Duration = Duration::from_millis(100);
 ///
 /// The file is read again whenever its length or time of change differs; steps that were scored before are not
 /// scored again. A line is printed for every episode that is new or has grown, and one for all. A file that is not
-/// there yet, or cannot be read because it is just being written, is waited for. Ctrl-C ends it.
+/// there yet, or not whole because it is just being written, is waited for; other faults, such as columns that do not
+/// fit, end it, as do Ctrl-C and a reader that goes away.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct WatchArgs {
     /// Rollouts: a Parquet file that is replaced as it grows, a recording, or any dataset
@@ -60,15 +63,25 @@ pub(crate) fn run(args: &WatchArgs, context: &Context) -> Result<CommandOutcome>
         ]));
     }
     let _cooperative = Cooperative::begin();
+    let roots = SearchRoots::from_env();
     let mut seen = None;
     let mut waiting = String::new();
     while !atomic::is_interrupted() {
         // Before it is read: what changes meanwhile is seen at the next look.
-        let now = look(Path::new(&args.rollouts), None).ok();
+        let now = seen_from_outside(&args.rollouts, &roots, &job.rollout_options);
         if now.is_none() || now != seen {
             match update(args, &job, (&session, &mut watched), context) {
-                Ok(()) => seen = now,
-                Err(error) => wait_for(&format!("{error:#}"), &mut waiting, context),
+                Ok(lines) => {
+                    seen = now;
+                    waiting.clear();
+                    if !output::send(&lines)? {
+                        return Ok(CommandOutcome::Done);
+                    }
+                }
+                Err(error) if may_pass(&error) => {
+                    wait_for(&format!("{error:#}"), &mut waiting, context);
+                }
+                Err(error) => return Err(error),
             }
         }
         pause(args.interval);
@@ -77,14 +90,50 @@ pub(crate) fn run(args: &WatchArgs, context: &Context) -> Result<CommandOutcome>
     Ok(CommandOutcome::Done)
 }
 
+/// How the files look, where they are there: those of a dataset's name, too.
+fn seen_from_outside(rollouts: &str, roots: &SearchRoots, options: &OpenOptions) -> Option<String> {
+    let resolved = ksim_datasets::resolve(rollouts, roots).ok()?;
+    look(&resolved.path, options.mapping.as_deref()).ok()
+}
+
 fn update(
     args: &WatchArgs,
     job: &Job,
     (session, watched): (&Session, &mut Watched<'_>),
     context: &Context,
-) -> Result<()> {
+) -> Result<String> {
     let file = session.open_rollouts(&args.rollouts, job)?;
-    output::text(&watched.update(&file, context)?)
+    watched.update(&file, context)
+}
+
+/// Whether files that are not there yet, or not whole yet, give such an error.
+fn may_pass(error: &anyhow::Error) -> bool {
+    if error.downcast_ref::<NoSteps>().is_some() {
+        return true;
+    }
+    let mut causes = error.chain();
+    match causes.find_map(|cause| Some(cause.downcast_ref::<DatasetError>()?.cause())) {
+        Some(DatasetError::Io { source, .. }) => {
+            matches!(
+                source.kind(),
+                ErrorKind::NotFound | ErrorKind::UnexpectedEof
+            )
+        }
+        Some(
+            DatasetError::NotFound { .. }
+            | DatasetError::NotADataset { .. }
+            | DatasetError::Empty
+            | DatasetError::Corrupt { .. }
+            | DatasetError::DeclaredSize { .. }
+            | DatasetError::LengthMismatch { .. }
+            | DatasetError::NoSample { .. }
+            | DatasetError::Arrow { .. }
+            | DatasetError::Parquet { .. }
+            | DatasetError::Hdf5 { .. }
+            | DatasetError::Json { .. },
+        ) => true,
+        _ => false,
+    }
 }
 
 /// Says why nothing can be read, once.
@@ -101,5 +150,39 @@ fn pause(interval: Duration) {
         let nap = left.min(NAP);
         sleep(nap);
         left -= nap;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_named_dataset_looks_the_same_until_it_changes() {
+        let folder = tempfile::tempdir().unwrap();
+        let roots = SearchRoots {
+            d4rl: Some(folder.path().to_owned()),
+            ..SearchRoots::default()
+        };
+        let look = || seen_from_outside("hopper-medium-v2", &roots, &OpenOptions::default());
+        assert_eq!(look(), None);
+        let file = folder.path().join("hopper_medium-v2.hdf5");
+        std::fs::write(&file, "short").unwrap();
+        let first = look();
+        assert!(first.is_some());
+        assert_eq!(look(), first);
+        std::fs::write(&file, "longer").unwrap();
+        assert_ne!(look(), first);
+    }
+
+    #[test]
+    fn only_what_is_missing_or_unfinished_may_pass() {
+        let of = |error: DatasetError| may_pass(&anyhow::Error::from(error).context("reading"));
+        assert!(of(DatasetError::Corrupt {
+            what: String::new()
+        }));
+        assert!(of(DatasetError::Empty.in_file(std::path::Path::new("a"))));
+        assert!(!of(DatasetError::NoMapping));
+        assert!(!may_pass(&anyhow::anyhow!("observations have 3 columns")));
     }
 }

@@ -151,6 +151,18 @@ fn episodes_are_held_out_where_there_are_no_rollouts() {
 }
 
 #[test]
+fn nothing_checked_is_nothing_claimed() {
+    let arguments = ["--rows", "500", "--widths", "2", "--engines", "blocked"];
+    let small = ["--n-queries", "20", "--n-single", "0", "--repeats", "1"];
+    let run = |n_checked: &str| {
+        let checked = ["--n-checked", n_checked];
+        ksim([&["bench", "search"], &arguments[..], &small, &checked].concat()).stdout
+    };
+    assert!(run("0").contains("exact        not checked"));
+    assert!(run("3").contains("exact        3 queries of every kind"));
+}
+
+#[test]
 fn the_figure_shows_what_is_compared() {
     let folder = tempfile::tempdir().unwrap();
     let figure = folder.path().join("bench.svg");
@@ -186,6 +198,10 @@ fn what_cannot_be_measured_is_refused() {
     bench(&[&dataset, "--widths", "32"]).failed(
         1,
         &["a width of 32 columns was asked for, the states have 31"],
+    );
+    bench(&["--rows", "1000", "--engines", "kd-tree", "--widths", "31"]).failed(
+        1,
+        &["nothing to measure: engines kd-tree on states of 31 columns"],
     );
     bench(&["--rows", "0"]).failed(2, &["expected a whole number from 1"]);
     bench(&["--rollouts", &dataset]).failed(2, &["DATASET"]);

@@ -1,10 +1,12 @@
 //! `ksim export mcap`: the recording, read back.
 
 use std::path::Path;
+use std::sync::Arc;
 
+use arrow::array::{ArrayRef, Int64Array};
 use serde_json::Value;
 
-use crate::process::{Demo, Rollouts, column, ksim};
+use crate::process::{Demo, Rollouts, column, ksim, list, write_parquet};
 
 /// The JSON messages on a topic, in order.
 fn messages(file: &str, topic: &str) -> Vec<Value> {
@@ -58,11 +60,21 @@ fn the_recording_has_scores_and_demonstrations_beside_the_rollouts() {
         .map(|score| score["score"].as_f64().unwrap())
         .collect();
     assert_eq!(own, column(&steps, "score"));
-    let root = f64::sqrt(39.0);
-    for (score, distance) in scores.iter().zip(column(&steps, "distance")) {
-        assert!((score["distance"].as_f64().unwrap() * root - distance).abs() < 1e-9);
-        assert_eq!(score["saturated"], Value::Bool(score["score"] == 1.0));
+    for (name, width) in [
+        ("distance", 39.0),
+        ("state_distance", 31.0),
+        ("action_distance", 8.0),
+    ] {
+        for (score, distance) in scores.iter().zip(column(&steps, name)) {
+            let scaled = score[format!("scaled_{name}")].as_f64().unwrap();
+            assert!(
+                (scaled * f64::sqrt(width) - distance).abs() < 1e-9,
+                "{name}"
+            );
+        }
     }
+    let is_right = |score: &Value| score["saturated"] == Value::Bool(score["score"] == 1.0);
+    assert!(scores.iter().all(is_right));
     let matches = messages(&out, "/demonstration");
     let numbers: Vec<f64> = matches
         .iter()
@@ -118,4 +130,33 @@ fn a_demonstration_is_in_raw_units_and_an_input_is_not_overwritten() {
     ksim(["export", "mcap", &one, "--dataset", &dataset, "-o", &one])
         .failed(1, &["would replace what is read"]);
     assert!(Path::new(&one).exists());
+}
+
+#[test]
+fn parts_of_the_state_may_have_the_names_of_other_columns() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (data, out) = (at("data.parquet"), at("out.mcap"));
+    let values: Vec<f32> = (0..24).map(|i| (i as f32 * 0.7).sin()).collect();
+    let columns: Vec<(&str, ArrayRef)> = vec![
+        ("episode_index", Arc::new(Int64Array::from(vec![0; 6]))),
+        ("observation.action", list(2, &values[..12])),
+        ("observation.step_index", list(1, &values[12..18])),
+        ("action", list(1, &values[18..])),
+    ];
+    write_parquet(&data, columns);
+    let run = ksim(["export", "mcap", &data, "--dataset", &data, "-o", &out]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let found = &messages(&out, "/demonstration")[0];
+    assert_eq!(found["step_index"], Value::from(0));
+    for (name, expected) in [
+        ("observation_action", &values[..2]),
+        ("observation_step_index", &values[12..13]),
+        ("action", &values[18..19]),
+    ] {
+        let own: Vec<f64> = serde_json::from_value(found[name].clone()).unwrap();
+        assert_eq!(own.len(), expected.len(), "{name}");
+        let near = |(own, expected): (&f64, &f32)| (own - f64::from(*expected)).abs() < 1e-6;
+        assert!(own.iter().zip(expected).all(near), "{name}");
+    }
 }

@@ -2,9 +2,14 @@
 
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, Float64Array, Int64Array};
+use arrow::array::{ArrayRef, Float64Array, Int64Array, StringArray};
 
 use crate::process::{Demo, ksim, list, write_parquet};
+
+/// Its folder.
+fn path(demo: &Demo) -> String {
+    demo.at("").trim_end_matches('/').to_owned()
+}
 
 /// Two episodes of three steps through the U-shaped maze, without a word on their environment.
 fn walk(path: &str) {
@@ -149,7 +154,7 @@ fn timelines_and_distributions_are_drawn_of_what_is_scored() {
     let timeline = drawn("timeline", &[]);
     assert_eq!(timeline, drawn("timeline", &[]));
     for part in [
-        "K-Sim, mean over episodes",
+        "K-Sim, mean over the episodes that reach the step",
         "Saturated steps",
         "good.parquet",
         "noisy.parquet",
@@ -158,13 +163,23 @@ fn timelines_and_distributions_are_drawn_of_what_is_scored() {
     }
     let episodes = drawn("timeline", &["--episodes", "0-2"]);
     assert!(episodes.contains("good.parquet 2") && !episodes.contains("good.parquet 3"));
+    assert!(!timeline.contains(&path(&demo)) && timeline.contains("Compared with dataset.parquet"));
     let distribution = drawn("distribution", &[]);
+    assert!(
+        distribution.contains("Distances to dataset.parquet") && distribution.contains(">\nγ\n<")
+    );
     assert!(distribution.contains("held-out data") && distribution.contains("stroke-dasharray"));
 
     let none = demo.at("none.svg");
     plot("timeline", &none, &["--episodes", "77"])
         .failed(1, &["none of the rollouts has such an episode"]);
     plot("timeline", &none, &["--episodes", "0-3"]).failed(1, &["8 lines are too many"]);
+    for what in ["timeline", "distribution"] {
+        // Not even the dataset is opened.
+        let many = [&*good; 7];
+        let start = ["plot", what, "--dataset", "nowhere.parquet", "-o", &none];
+        ksim(start.iter().chain(&many)).failed(1, &["7 lines are too many"]);
+    }
     plot("timeline", &demo.at("none.gif"), &[]).failed(1, &["ends in .svg, .png or .pdf"]);
     assert_eq!(demo.others(), [std::path::PathBuf::from("figure.svg")]);
 }
@@ -213,9 +228,19 @@ fn tables_say_what_score_says_in_three_languages() {
     let k_sim = format!("{:.3}", score["results"][0]["k_sim"].as_f64().unwrap());
     let markdown = table("md");
     assert!(
-        markdown.contains(&format!("| good.parquet | 4 | 1200 | {k_sim} |")),
+        markdown.contains(&format!("| good.parquet | 4 | 1200 | {k_sim} |"))
+            && markdown.starts_with("| rollouts | episodes | steps | K-Sim\\* |"),
         "{markdown}"
     );
+    // The caption says what the numbers are, and not where they were computed.
+    for part in [
+        "\\* all state columns, mean over all steps (the paper's definition, by exact search)",
+        "Against dataset.parquet; γ ",
+        "K 50, exact search; fingerprint ",
+    ] {
+        assert!(markdown.contains(part), "no {part:?} in {markdown}");
+    }
+    assert!(!markdown.contains(&path(&demo)), "{markdown}");
     let latex = table("tex");
     assert!(
         latex.contains(&format!("good.parquet & 4 & 1200 & {k_sim} &")),
@@ -225,8 +250,100 @@ fn tables_say_what_score_says_in_three_languages() {
         latex.contains("\\,\\%") && latex.ends_with("\\end{tabular}\n"),
         "{latex}"
     );
+    assert!(
+        latex.contains("% Against dataset.parquet; γ ") && latex.contains("& K-Sim* &"),
+        "{latex}"
+    );
     ksim(["plot", "tables", "x", "--dataset", "y", "-o", "table.txt"])
         .failed(1, &[".md, .tex or .csv"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_name_is_no_markup_in_a_table() {
+    let demo = Demo::new();
+    let rollouts = demo.at("<b>x|y [z](w) `q`.parquet");
+    std::fs::copy(demo.at("good.parquet"), &rollouts).unwrap();
+    let (dataset, out) = (demo.at("dataset.parquet"), demo.at("table.md"));
+    let run = ksim([
+        "plot",
+        "tables",
+        &rollouts,
+        "--dataset",
+        &dataset,
+        "-o",
+        &out,
+        "--definition",
+        "released",
+    ]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let table = std::fs::read_to_string(out).unwrap();
+    assert!(
+        table.contains("\n| \\<b\\>x\\|y \\[z\\](w) \\`q\\`.parquet | 4 |"),
+        "{table}"
+    );
+    // The released script's K-Sim is another column.
+    assert!(table.contains("| K-Sim | mean of episodes\\* |"), "{table}");
+}
+
+/// A file of two planners with steps from 1000 on: of the second of them, four episodes.
+#[test]
+fn lines_are_counted_by_planner_and_lie_at_the_recorded_steps() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (from, out) = (at("walk.parquet"), at("time.svg"));
+    let episodes: Vec<i64> = (0..5).flat_map(|episode| [episode; 4]).collect();
+    let planners = episodes
+        .iter()
+        .map(|&episode| if episode == 0 { "a" } else { "b" });
+    let values: Vec<f32> = (0..40).map(|i| (i as f32 * 0.7).sin()).collect();
+    let steps = (0..20).map(|row| 1000 + 100 * (row % 4));
+    let columns: Vec<(&str, ArrayRef)> = vec![
+        (
+            "episode_index",
+            Arc::new(Int64Array::from(episodes.clone())),
+        ),
+        ("step_index", Arc::new(Int64Array::from_iter_values(steps))),
+        ("planner", Arc::new(StringArray::from_iter_values(planners))),
+        ("observation", list(2, &values)),
+        ("action", list(1, &values[..20])),
+    ];
+    write_parquet(&from, columns);
+    let plot = |flags: &[&str]| {
+        let start = [
+            "plot",
+            "timeline",
+            &from,
+            "--dataset",
+            &from,
+            "--n-neighbors",
+            "3",
+            "-o",
+            &out,
+        ];
+        ksim(start.iter().chain(flags))
+    };
+    let run = plot(&[]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let svg = std::fs::read_to_string(&out).unwrap();
+    for part in ["walk.parquet · a", "walk.parquet · b", "1100", "1300"] {
+        assert!(svg.contains(part), "{part}");
+    }
+    let run = plot(&["--episodes", "0-4"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let twice = ksim([
+        "plot",
+        "timeline",
+        &from,
+        &from,
+        "--dataset",
+        &from,
+        "--episodes",
+        "0-4",
+        "-o",
+        &out,
+    ]);
+    twice.failed(1, &["10 lines are too many"]);
 }
 
 #[test]

@@ -2,8 +2,9 @@
 
 use std::io::{BufRead as _, BufReader};
 use std::process::Stdio;
+use std::time::{Duration, Instant};
 
-use crate::process::{Demo, Rollouts, command, ksim};
+use crate::process::{Demo, Rollouts, command, finished, ksim};
 
 #[test]
 fn a_sparkline_is_drawn_when_asked_for_and_not_into_a_pipe() {
@@ -113,11 +114,11 @@ fn a_growing_file_is_followed_until_ctrl_c() {
     };
     replace(&[5]);
     assert!(next().starts_with("episode 0: 5 steps, K-Sim"));
-    assert!(next().starts_with("1 episodes, 5 steps: "));
+    assert!(next().starts_with("1 episode, 5 steps: "));
     // Steps are the same as before as far as they were there; the second episode's differ in their actions.
     replace(&[9]);
     assert!(next().starts_with("episode 0: 9 steps"));
-    assert!(next().starts_with("1 episodes, 9 steps: "));
+    assert!(next().starts_with("1 episode, 9 steps: "));
     replace(&[9, 4]);
     next();
     let total = loop {
@@ -134,4 +135,48 @@ fn a_growing_file_is_followed_until_ctrl_c() {
     assert!(interrupt.success());
     assert_eq!(next(), total);
     assert_eq!(child.wait().unwrap().code(), Some(130));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_lasting_fault_and_a_reader_that_is_gone_end_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (data, roll) = (at("data.parquet"), at("roll.parquet"));
+    rollouts(&[40, 40]).write(&data);
+    let watch = || {
+        let mut command = command();
+        command.args(["watch", &roll, "--dataset", &data, "--interval", "0.1"]);
+        command
+    };
+    Rollouts::new(&[0; 5], [3, 1]).write(&roll);
+    finished(&watch().output().unwrap()).failed(1, &["observations have 3 columns, expected 2"]);
+    let mut nameless = rollouts(&[5]);
+    nameless.names[2] = "acts";
+    nameless.write(&roll);
+    finished(&watch().output().unwrap()).failed(1, &["no action column"]);
+
+    rollouts(&[5]).write(&roll);
+    let mut child = watch().stdout(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    assert!(
+        lines
+            .next()
+            .unwrap()
+            .unwrap()
+            .starts_with("episode 0: 5 steps")
+    );
+    drop(lines);
+    rollouts(&[9]).write(at("next.parquet"));
+    std::fs::rename(at("next.parquet"), &roll).unwrap();
+    let deadline = Instant::now() + Duration::from_secs(60);
+    let code = loop {
+        match child.try_wait().unwrap() {
+            Some(status) => break status.code(),
+            None if Instant::now() > deadline => break None,
+            None => std::thread::sleep(Duration::from_millis(20)),
+        }
+    };
+    let _ = child.kill();
+    assert_eq!(code, Some(0));
 }

@@ -10,10 +10,6 @@ use crate::formats::mcap::numbered::STEP_TOPIC;
 use crate::schema;
 use crate::sink::{Loss, LossEffect};
 
-/// Roots of the columns that `ksim export` adds: the scores of a step, and the step it was matched with.
-const K_SIM: &str = "info.k_sim";
-const DEMONSTRATION: &str = "info.demonstration";
-
 /// Columns that are written in one message.
 #[derive(Debug, Clone)]
 pub(super) struct Group {
@@ -100,7 +96,7 @@ fn section(column: &str) -> Option<(usize, String)> {
         Some(format!("{root}.{key}"))
     };
     // Of what scores record, viewers show every part on a topic of its own.
-    for (group, root) in [(4, K_SIM), (5, DEMONSTRATION)] {
+    for (group, root) in [(4, schema::INFO_K_SIM), (5, schema::INFO_DEMONSTRATION)] {
         if schema::belongs_to(column, root) {
             return Some((group, named(schema::INFO)?));
         }
@@ -175,8 +171,8 @@ fn identifier(column: &str) -> String {
     let roots = [
         schema::OBSERVATION,
         schema::ACTION,
-        K_SIM,
-        DEMONSTRATION,
+        schema::INFO_K_SIM,
+        schema::INFO_DEMONSTRATION,
         schema::INFO,
     ];
     let short = roots

@@ -1,10 +1,11 @@
 //! Writing a dataset as an MCAP recording.
 //!
-//! A row is one message on `/step` (numbers, reward, flags) and one on `/observation`, `/action` and `/info` as
-//! far as the table has such columns (`info.k_sim` and `info.demonstration` have topics of their own), all with the same log time; a null is a field, or a whole message, that is
-//! not there. `/episode` marks beginnings and ends for viewers. The metadata record `ksim.mapping` holds the
-//! mapping that reads all this back as the same table, `ksim.schema` the metadata of the table, `ksim.episodes`
-//! how many rows each episode has, so that a reader knows what a damaged file lost.
+//! A row is one message on `/step` (numbers, reward, flags) and one on `/observation`, `/action` and `/info` as far as
+//! the table has such columns (`info.k_sim` and `info.demonstration` have topics of their own), all with the same log
+//! time; a null is a field, or a whole message, that is not there. `/episode` marks beginnings and ends for viewers.
+//! The metadata record `ksim.mapping` holds the mapping that reads all this back as the same table, `ksim.schema` the
+//! metadata of the table, `ksim.episodes` how many rows each episode has, so that a reader knows what a damaged file
+//! lost.
 
 mod cells;
 mod groups;

@@ -1,6 +1,5 @@
 //! `ksim bench search`.
 
-use std::io::Write as _;
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail};
@@ -10,7 +9,7 @@ use ksim_bench_harness::search_bench::{self, SearchPlan, SearchReport, SourcePar
 use ksim_datasets::DatasetInfo;
 
 use super::search_table;
-use crate::atomic::{self, AtomicFile};
+use crate::atomic;
 use crate::context::Context;
 use crate::data_args::{self, DataArgs, DatasetColumnArgs};
 use crate::load::{self, Columns};
@@ -153,10 +152,7 @@ fn draw(target: &std::path::Path, report: &SearchReport) -> Result<()> {
     let figure = figure::search::draw(&heading, report);
     let svg = figure
         .context("nothing to draw: all measurements have one size and one number of clusters")?;
-    let mut file = AtomicFile::create(target)?;
-    let written = file.write_all(svg.as_bytes());
-    written.with_context(|| format!("cannot write {}", target.display()))?;
-    file.publish()
+    atomic::write(target, svg.as_bytes())
 }
 
 fn plan(args: &SearchBenchArgs, source: &StepSource, context: &Context) -> SearchPlan {

@@ -34,6 +34,12 @@ pub(super) fn render(report: &SearchReport) -> String {
         .map(|one| one.n_checked)
         .min()
         .unwrap_or(0);
+    let checked = match checked {
+        0 => "not checked (--n-checked 0)".to_owned(),
+        n => format!(
+            "{n} queries of every kind have the neighbors and distances of the oracle, to the last bit"
+        ),
+    };
     let reference = match &report.source.dataset {
         Some(dataset) => dataset.clone(),
         None => "generated trajectories".to_owned(),
@@ -53,9 +59,10 @@ pub(super) fn render(report: &SearchReport) -> String {
     });
     format!(
         "{}\nreference    {reference}{distinct}\nqueries      {asked}; K {}\n\
-         exact        {checked} queries of every kind have the neighbors and distances of the oracle, to the last bit\n\
-         times        best of the repeats, on {} cores; \"one alone\" on one thread\n\
-         memory       peak of build and search above the reference, which itself takes 8 bytes a value\n\
+         exact        {checked}\n\
+         times        best of the repeats, on {} cores; built once; \"one alone\" on one thread\n\
+         memory       peak of build and search above the reference, which itself takes 8 bytes a value; of engines\n\
+         \x20            after the first only what they take beyond the memory that those before them have freed\n\
          ksim         {}, seed {}\n",
         table::align(&rows),
         report.n_neighbors,

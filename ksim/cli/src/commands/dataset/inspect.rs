@@ -1,15 +1,14 @@
 //! `ksim dataset inspect`: what a recording holds.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Result, bail};
 use clap::Args;
 use ksim_datasets::mcap::{FieldDescription, FieldKind, FieldLength, Inspection, TopicInspection};
 use ksim_datasets::{DatasetError, Format, Warning};
 use serde_json::{Value, json};
 
-use crate::atomic::{self, AtomicFile};
+use crate::atomic;
 use crate::context::Context;
 use crate::outcome::CommandOutcome;
 use crate::output::{self, OutputFormat};
@@ -76,10 +75,7 @@ fn propose(inspection: &Inspection, recording: &Path, target: &Path) -> Result<(
         ),
         other => other.into(),
     })?;
-    let mut file = AtomicFile::create(target)?;
-    file.write_all(toml.as_bytes())
-        .with_context(|| format!("cannot write {}", target.display()))?;
-    file.publish()
+    atomic::write(target, toml.as_bytes())
 }
 
 fn text(inspection: &Inspection) -> String {

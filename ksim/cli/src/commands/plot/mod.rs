@@ -3,6 +3,7 @@
 mod distribution;
 mod episodes;
 mod lambda;
+mod line_count;
 mod paths;
 mod step_scores;
 mod tables;

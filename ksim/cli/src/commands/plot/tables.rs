@@ -1,12 +1,11 @@
 //! `ksim plot tables`: the table of scores for a paper.
 
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Result, bail};
 use clap::Args;
 
-use crate::atomic::AtomicFile;
+use crate::atomic;
 use crate::context::Context;
 use crate::document::{Document, RolloutResult};
 use crate::outcome::CommandOutcome;
@@ -47,10 +46,7 @@ pub(super) fn run(args: &TablesArgs, context: &Context) -> Result<CommandOutcome
     let session = Session::open(&job, context)?;
     let results = session.score(&job, context, &mut |_| Ok(()))?;
     let text = style.write(&session.document(results, context));
-    let mut file = AtomicFile::create(&args.output)?;
-    let written = file.write_all(text.as_bytes());
-    written.with_context(|| format!("cannot write {}", args.output.display()))?;
-    file.publish()?;
+    atomic::write(&args.output, text.as_bytes())?;
     Ok(session.outcome())
 }
 
@@ -97,37 +93,28 @@ impl Style {
                 text
             }
             Self::Markdown => {
-                let head = HEAD.map(|name| name.replace('\\', ""));
+                let head = head(document).map(|name| markdown(&name));
                 let mut text = format!(
                     "| {} |\n|---|{}\n",
                     head.join(" | "),
-                    "---:|".repeat(HEAD.len() - 1)
+                    "---:|".repeat(head.len() - 1)
                 );
                 for (label, result) in rows() {
-                    let label = label.replace('\\', "\\\\").replace('|', "\\|");
-                    text += &format!("| {} |\n", read_row(&label, result).join(" | "));
+                    text += &format!("| {} |\n", read_row(&markdown(&label), result).join(" | "));
                 }
-                text + &format!(
-                    "\nAgainst {}; fingerprint {}.\n",
-                    document.dataset.name, document.fingerprint
-                )
+                for line in caption(document) {
+                    text += &format!("\n{}\n", markdown(&line));
+                }
+                text
             }
             Self::Latex => {
-                let head = [
-                    "rollouts",
-                    "episodes",
-                    "steps",
-                    "K-Sim",
-                    "mean of episodes",
-                    "state",
-                    "action",
-                    "saturated",
-                    "$d/\\sqrt{d}$",
-                ];
-                let mut text = format!(
-                    "% Against {}; fingerprint {}. Needs booktabs.\n\\begin{{tabular}}{{l{}}}\n\\toprule\n{} \\\\\n\\midrule\n",
-                    one_line(&document.dataset.name),
-                    document.fingerprint,
+                let head = head(document).map(|name| name.replace("d/√d", "$d/\\sqrt{d}$"));
+                let mut text = String::new();
+                for line in caption(document) {
+                    text += &format!("% {}\n", one_line(&line));
+                }
+                text += &format!(
+                    "% Needs booktabs.\n\\begin{{tabular}}{{l{}}}\n\\toprule\n{} \\\\\n\\midrule\n",
                     "r".repeat(head.len() - 1),
                     head.join(" & ")
                 );
@@ -141,18 +128,48 @@ impl Style {
     }
 }
 
-/// Columns to read.
-const HEAD: [&str; 9] = [
-    "rollouts",
-    "episodes",
-    "steps",
-    "K-Sim",
-    "mean of episodes",
-    "state",
-    "action",
-    "saturated",
-    "mean d/√d",
-];
+/// Columns to read, with a star at the one that the definition calls K-Sim.
+fn head(document: &Document) -> [String; 9] {
+    let by_episode = document.parameters.headline == "k_sim_episode_mean";
+    [
+        "rollouts",
+        "episodes",
+        "steps",
+        if by_episode { "K-Sim" } else { "K-Sim*" },
+        if by_episode {
+            "mean of episodes*"
+        } else {
+            "mean of episodes"
+        },
+        "state",
+        "action",
+        "saturated",
+        "mean d/√d",
+    ]
+    .map(str::to_owned)
+}
+
+/// What the numbers are, and what they were computed with.
+fn caption(document: &Document) -> [String; 2] {
+    let parameters = &document.parameters;
+    let search = match &document.search.clusters {
+        Some(clusters) => format!("search in one of {} clusters", clusters.n_clusters),
+        None => "exact search".to_owned(),
+    };
+    [
+        format!(
+            "* {}; in brackets 95 % intervals of the mean of episodes, by a bootstrap over episodes.",
+            table::headline(document)
+        ),
+        format!(
+            "Against {}; γ {}, K {}, {search}; fingerprint {}.",
+            document.dataset.public_name(),
+            table::plain(parameters.gamma),
+            parameters.n_neighbors,
+            document.fingerprint
+        ),
+    ]
+}
 
 fn read_row(label: &str, result: &RolloutResult) -> Vec<String> {
     let mean = match result.interval_95 {
@@ -168,7 +185,7 @@ fn read_row(label: &str, result: &RolloutResult) -> Vec<String> {
         format!("{:.3}", result.k_sim_state),
         format!("{:.3}", result.k_sim_action),
         format!("{:.1} %", 100.0 * result.saturated_share),
-        format!("{:.3}", result.mean_scaled_distance),
+        table::decimals(result.mean_scaled_distance),
     ]
 }
 
@@ -193,6 +210,18 @@ fn csv_row(label: &str, result: &RolloutResult) -> Vec<String> {
     ]
 }
 
+/// Text as Markdown shows it: nothing in it is markup or HTML, and it stays in its cell.
+fn markdown(text: &str) -> String {
+    let mut safe = String::with_capacity(text.len());
+    for c in one_line(text).chars() {
+        if "\\`*_[]<>&|~$!:@".contains(c) {
+            safe.push('\\');
+        }
+        safe.push(c);
+    }
+    safe
+}
+
 /// Text as LaTeX prints it.
 fn latex(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
@@ -210,7 +239,7 @@ fn latex(text: &str) -> String {
     safe
 }
 
-/// A comment of LaTeX ends with its line.
+/// Rows and comments end with their line.
 fn one_line(text: &str) -> String {
     text.chars()
         .map(|c| if c.is_control() { ' ' } else { c })
@@ -225,6 +254,15 @@ mod tests {
     fn text_is_text_in_latex() {
         assert_eq!(latex("a_b\\c{%}"), "a\\_b\\textbackslash{}c\\{\\%\\}");
         assert_eq!(one_line("a\n\\evil"), "a \\evil");
+    }
+
+    #[test]
+    fn text_is_text_in_markdown() {
+        assert_eq!(
+            markdown("<img src=x onerror=\"y\">|[a](b)&amp;`c`\n*d_e*"),
+            "\\<img src=x onerror=\"y\"\\>\\|\\[a\\](b)\\&amp;\\`c\\` \\*d\\_e\\*"
+        );
+        assert_eq!(markdown("https://x\\"), "https\\://x\\\\");
     }
 
     #[test]
