@@ -115,7 +115,13 @@ pub fn play(
                 n_slots,
             };
             player.describe(site, &mut played, observer)?;
-            let settings = player.settings(site, &mut contents)?;
+            let name = CellName {
+                planner: &planner.name,
+                environment: &site.entry.name,
+                run: 0,
+            };
+            let settings = player.settings(site, &mut contents);
+            let settings = settings.map_err(in_cell(name.to_string()))?;
             cells.extend(player.cells(at, site, &settings, run_dir)?);
         }
     }
