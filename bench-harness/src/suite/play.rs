@@ -153,11 +153,10 @@ pub fn play(
 }
 
 fn in_cell(cell: String) -> impl FnOnce(SuiteError) -> SuiteError {
-    let cell = move |source| SuiteError::Cell {
+    move |source| SuiteError::Cell {
         cell,
         source: Box::new(source),
-    };
-    cell
+    }
 }
 
 /// What the results are made with: enough to make them again.

@@ -160,9 +160,9 @@ impl Session<'_> {
         Ok(())
     }
 
-    fn begin_new(&mut self, base: Option<Base>, path: &Path) -> Result<(), PlannerError> {
+    fn begin_new(&mut self, base: Option<Box<Base>>, path: &Path) -> Result<(), PlannerError> {
         let base = match base {
-            Some(base) => Some(self.take_over(base)?),
+            Some(base) => Some(self.take_over(*base)?),
             None => None,
         };
         fs::create_dir_all(self.run).map_err(|source| PlannerError::File {
@@ -261,7 +261,7 @@ fn hash(path: &Path) -> Result<String, PlannerError> {
 /// What is in the folder of a run.
 pub(super) enum Found {
     /// Nothing yet; the base to begin with.
-    Nothing(Option<Base>),
+    Nothing(Option<Box<Base>>),
     /// A run to go on with.
     Run(Box<Manifest>),
 }
@@ -288,8 +288,8 @@ pub(super) fn check_folder(
             return Err(mismatch(path, "the run to go on with", expected, found));
         }
         refuse_leftovers(run)?;
-        let base = request.base.as_deref().map(Base::read);
-        return Ok(Found::Nothing(base.transpose()?));
+        let base = request.base.as_deref().map(Base::read).transpose()?;
+        return Ok(Found::Nothing(base.map(Box::new)));
     }
     if !request.resume {
         let found = "the folder of another training".to_owned();

@@ -48,7 +48,7 @@ pub(crate) fn train(
     let config = config.with_overrides(&request.overrides)?;
     let backend = backend::open(&BackendOptions::of_training(request))?;
     let asked = |dataset| Manifest::new(family.id, preset, &config, request.seed, dataset);
-    let found = check_folder(request, run, &asked)?;
+    let found = check_folder(request, run, asked)?;
     let episodes = Episodes::read(data)?;
     check_rewards(&episodes, &config)?;
     let windows = Windows::new(&episodes, &config.data, config.mode)?;
