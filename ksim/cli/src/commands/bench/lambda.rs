@@ -51,8 +51,6 @@ pub(crate) struct LambdaBenchArgs {
     /// Seed of the first episode
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    #[command(flatten)]
-    plan: PlanArgs,
     /// The folder of the results
     #[arg(short, long, value_name = "RUN_DIR")]
     output: PathBuf,
@@ -62,6 +60,8 @@ pub(crate) struct LambdaBenchArgs {
     /// How to print the table
     #[arg(long, value_enum, default_value_t = OutputFormat::Text)]
     format: OutputFormat,
+    #[command(flatten)]
+    plan: PlanArgs,
 }
 
 fn weight(text: &str) -> Result<f64, String> {
