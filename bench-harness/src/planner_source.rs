@@ -11,11 +11,14 @@ use ksim_planners::baselines::{
     Choice, Demonstrations, Nearest, NearestOptions, Random, Replay, ReplayOptions,
 };
 use ksim_planners::process::{ProcessPlanner, Setting, Timeouts};
-use ksim_planners::{LoadOptions, Planner, PlannerError, Registry};
+use ksim_planners::{LoadOptions, Planner, PlannerError, Precision, Registry, run_info};
 
 /// What may be written, and what it is.
 pub const SOURCES: &[(&str, &str)] = &[
-    ("RUN", "the folder that `ksim train` wrote"),
+    (
+        "RUN",
+        "the folder that `ksim train` wrote, or its planner.safetensors alone",
+    ),
     ("random", "actions drawn from the action space"),
     (
         "nearest:DATASET",
@@ -43,7 +46,7 @@ const BASELINE_HORIZON: usize = 32;
 /// A planner as it is named on a command line or in a suite.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PlannerSource {
-    /// A run folder.
+    /// A run folder, or the file of a planner alone.
     Run(PathBuf),
     /// [`Random`].
     Random,
@@ -227,6 +230,14 @@ impl PlannerSource {
         planner.map_err(failed)
     }
 
+    /// Whether the training of a run is finished; `None` for what is no run, or cannot be read.
+    pub fn is_finished(&self) -> Option<bool> {
+        match self {
+            Self::Run(run) => run_info(run).ok().map(|info| info.finished),
+            _ => None,
+        }
+    }
+
     /// Refuses what only the planner of a run has.
     fn refuse_options(&self, load: &LoadOptions) -> Result<(), SourceError> {
         let counts = matches!(self, Self::Random | Self::Nearest { .. });
@@ -242,6 +253,7 @@ impl PlannerSource {
             ("warm start", load.warm_start.is_some()),
             ("backend", load.backend.is_some()),
             ("device", load.device.is_some()),
+            ("precision", load.precision != Precision::F32),
         ];
         let is_run = matches!(self, Self::Run(_));
         match options
@@ -346,6 +358,12 @@ mod tests {
             error.to_string(),
             "planner `random` has no weight of curiosity"
         );
+        let rounded = LoadOptions {
+            precision: Precision::Bf16,
+            ..LoadOptions::default()
+        };
+        let error = PlannerSource::Random.refuse_options(&rounded).unwrap_err();
+        assert_eq!(error.to_string(), "planner `random` has no precision");
         let run = PlannerSource::Run("run".into());
         run.refuse_options(&load).unwrap();
     }

@@ -214,15 +214,47 @@ impl Config {
     pub fn with_overrides(&self, overrides: &Map<String, Value>) -> Result<Self, PlannerError> {
         let mut table = self.to_json();
         merge(&mut table, overrides, "")?;
-        let config: Self = serde_json::from_value(Value::Object(table)).map_err(|source| {
-            PlannerError::Setting {
-                name: "overrides".to_owned(),
-                expected: "values of the kinds of the preset's".to_owned(),
-                found: source.to_string(),
-            }
-        })?;
+        let config: Self = serde_json::from_value(Value::Object(table))
+            .map_err(|source| self.wrong_kind(overrides, &source))?;
         config.check()?;
         Ok(config)
+    }
+
+    /// The error of the first override that is of another kind than the preset's value.
+    fn wrong_kind(
+        &self,
+        overrides: &Map<String, Value>,
+        source: &serde_json::Error,
+    ) -> PlannerError {
+        let mut leaves = Vec::new();
+        flatten(overrides, &mut Vec::new(), &mut leaves);
+        for (path, value) in leaves {
+            let mut table = Value::Object(self.to_json());
+            let mut slot = Some(&mut table);
+            for key in &path {
+                slot = slot.and_then(|slot| slot.get_mut(key));
+            }
+            let Some(slot) = slot else { continue };
+            let preset = std::mem::replace(slot, value.clone());
+            if let Err(error) = serde_json::from_value::<Self>(table) {
+                return PlannerError::Setting {
+                    name: path.join("."),
+                    expected: format!("a value of the kind of {preset}"),
+                    found: format!("{value} ({error})"),
+                };
+            }
+        }
+        PlannerError::Setting {
+            name: "overrides".to_owned(),
+            expected: "values of the kinds of the preset's".to_owned(),
+            found: source.to_string(),
+        }
+    }
+
+    /// Whether the reward network learns from every pair of a prediction and a value, as the reference's does on mazes:
+    /// Minari's values come without the last axis, D4RL's with it, and only the former broadcast.
+    pub fn broadcasts_values(&self) -> bool {
+        self.mode == Mode::Reference && self.data.rule == RewardRule::Goal
     }
 
     /// The configuration as a table.
@@ -325,4 +357,22 @@ fn merge(
     Ok(())
 }
 
+/// The values of nested tables with the names that lead to them.
+fn flatten<'a>(
+    table: &'a Map<String, Value>,
+    path: &mut Vec<&'a str>,
+    leaves: &mut Vec<(Vec<&'a str>, &'a Value)>,
+) {
+    for (key, value) in table {
+        path.push(key);
+        match value {
+            Value::Object(inner) => flatten(inner, path, leaves),
+            value => leaves.push((path.clone(), value)),
+        }
+        path.pop();
+    }
+}
+
 mod check;
+
+pub(crate) use check::MOST;

@@ -146,7 +146,7 @@ pub enum PlannerError {
         found: String,
     },
     /// A file could not be read or written.
-    #[error("{}: cannot {action}: {source}", path.display())]
+    #[error("{}: cannot {action}", path.display())]
     File {
         /// The file.
         path: PathBuf,
@@ -156,7 +156,7 @@ pub enum PlannerError {
         source: std::io::Error,
     },
     /// A file that is no safetensors file, or a damaged one.
-    #[error("{}: damaged or no safetensors file: {source}", path.display())]
+    #[error("{}: damaged or no safetensors file", path.display())]
     Safetensors {
         /// The file.
         path: PathBuf,
@@ -164,12 +164,22 @@ pub enum PlannerError {
         source: safetensors::SafeTensorError,
     },
     /// A file of a run whose text is not what it ought to be.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: its JSON is not what is expected", path.display())]
     Json {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
         source: serde_json::Error,
+    },
+    /// Something in a file that does not fit.
+    #[error("{}{}", path.display(), of_network(network.as_deref()))]
+    InFile {
+        /// The file.
+        path: PathBuf,
+        /// The network, if it is about one.
+        network: Option<String>,
+        /// What does not fit.
+        source: Box<PlannerError>,
     },
     /// A file of another run, family, preset or version.
     #[error("{}: {what} is {found}, expected {expected}", path.display())]
@@ -225,6 +235,32 @@ impl From<ProcessError> for PlannerError {
     fn from(error: ProcessError) -> Self {
         Self::Process(Box::new(error))
     }
+}
+
+impl PlannerError {
+    /// The same with the file that it is about, and the network.
+    pub(crate) fn in_file(self, path: &Path, network: Option<&str>) -> Self {
+        Self::InFile {
+            path: path.to_owned(),
+            network: network.map(str::to_owned),
+            source: Box::new(self),
+        }
+    }
+
+    /// A folder in which something is that stays.
+    pub(crate) fn occupied(run: &Path, expected: &str, found: String) -> Self {
+        Self::Mismatch {
+            path: run.to_owned(),
+            what: "the run folder".to_owned(),
+            expected: expected.to_owned(),
+            found,
+        }
+    }
+}
+
+/// Which network of a file.
+fn of_network(network: Option<&str>) -> String {
+    network.map_or(String::new(), |network| format!(": network \"{network}\""))
 }
 
 /// The end of a message about numbers that are not finite.

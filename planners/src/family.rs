@@ -40,7 +40,8 @@ pub trait PlannerFamily: Send + Sync {
     /// Loads a planner from a run folder.
     ///
     /// # Errors
-    /// The folder holds no finished planner of this family, or the options do not fit it.
+    /// The folder holds no planner of this family, or the options do not fit it. One whose training is not finished is
+    /// loaded as it is; [`crate::run_info`] tells.
     fn load(&self, run: &Path, options: &LoadOptions) -> Result<Box<dyn Planner>, PlannerError>;
 }
 
@@ -127,6 +128,12 @@ pub trait TrainObserver {
 
     /// Called when a checkpoint has been written.
     fn checkpoint(&mut self, _path: &Path, _total_update: u64) {}
+
+    /// Called before every part of something that a training makes between two updates, such as plans to learn from:
+    /// `done` of `of` parts are there. `Stop` ends the training at the checkpoint before.
+    fn preparing(&mut self, _what: &str, _done: u64, _of: u64) -> TrainControl {
+        TrainControl::Continue
+    }
 
     /// Something the user ought to know that does not stop the training.
     fn notice(&mut self, _message: &str) {}

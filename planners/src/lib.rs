@@ -28,6 +28,7 @@ mod presets;
 pub mod process;
 pub mod registry;
 mod rng;
+mod run_folder;
 mod tensor_file;
 #[cfg(feature = "torch")]
 pub mod torch;
@@ -39,4 +40,4 @@ pub use family::{
     TrainProgress, TrainRequest, TrainSummary,
 };
 pub use planner::{Candidates, PlanRequest, Planner, PlannerSpec};
-pub use registry::{Registry, family_of, write_manifest};
+pub use registry::{Registry, RunInfo, family_of, run_info, write_manifest};

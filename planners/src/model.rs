@@ -164,13 +164,25 @@ impl PlannerFile {
         if meta.family != family {
             return Err(mismatch("the planner", family.to_owned(), meta.family));
         }
-        meta.config.check()?;
+        let in_file = |network: Option<&'static str>| {
+            move |source: PlannerError| source.in_file(path, network)
+        };
+        meta.config.check().map_err(in_file(None))?;
         let bounds = [&meta.action_low, &meta.action_high].map(Vec::len);
         if bounds != [meta.action_dim; 2] {
             return Err(mismatch(
                 "the number of bounds of actions",
                 meta.action_dim.to_string(),
                 format!("{bounds:?}"),
+            ));
+        }
+        let statistics = [meta.value_mean, meta.value_std];
+        let bounds = meta.action_low.iter().chain(&meta.action_high);
+        if !bounds.chain(&statistics).all(|value| value.is_finite()) {
+            return Err(mismatch(
+                "a bound of actions or a statistic of values",
+                "a finite number".to_owned(),
+                "infinite".to_owned(),
             ));
         }
         let mut order = meta.observation_order.clone();
@@ -186,16 +198,25 @@ impl PlannerFile {
             ));
         }
         let statistics = file.take("normalizer");
-        let shape = [meta.observation_dim];
-        let normalizer = Normalizer {
-            mean: statistics.tensor("mean", &shape)?.to_vec(),
-            std: statistics.tensor("std", &shape)?.to_vec(),
+        let of_statistics = |name: &str| {
+            let found = statistics.tensor(name, &[meta.observation_dim]);
+            found
+                .map(<[f32]>::to_vec)
+                .map_err(in_file(Some("normalizer")))
         };
-        normalizer.check(meta.observation_dim)?;
+        let normalizer = Normalizer {
+            mean: of_statistics("mean")?,
+            std: of_statistics("std")?,
+        };
+        normalizer
+            .check(meta.observation_dim)
+            .map_err(in_file(None))?;
         let mut networks = BTreeMap::new();
         for (name, architecture) in meta.architectures() {
             let weights = file.take(name);
-            architecture.check_weights(&weights)?;
+            architecture
+                .check_weights(&weights)
+                .map_err(in_file(Some(name)))?;
             networks.insert(name.to_owned(), weights);
         }
         if let Some(name) = file.tensors.keys().next() {

@@ -7,8 +7,10 @@ use crate::algorithms::{CuriosityDiffuser, Diffuser, ReDiffuser};
 use crate::baselines::{NearestFamily, RandomFamily, ReplayFamily};
 use crate::error::PlannerError;
 use crate::family::{LoadOptions, PlannerFamily};
+use crate::model::PlannerFile;
 use crate::planner::Planner;
-use crate::tensor_file::write_atomically;
+use crate::run_folder::refuse_leftovers;
+use crate::tensor_file::{TensorFile, write_atomically};
 
 /// Families by their ids. Anyone may add theirs to [`Registry::builtin`].
 #[derive(Default)]
@@ -67,10 +69,10 @@ impl Registry {
         }
     }
 
-    /// Loads the planner of a run folder, whatever its family.
+    /// Loads the planner of a run folder, or of the file of a planner alone, whatever its family.
     ///
     /// # Errors
-    /// The folder is no run, its family is not of this build, or [`PlannerFamily::load`] fails.
+    /// It is no run, its family is not of this build, or [`PlannerFamily::load`] fails.
     pub fn load(
         &self,
         run: &Path,
@@ -88,15 +90,53 @@ impl Registry {
 /// Name of the file in a run folder that tells what the run is.
 const MANIFEST: &str = "manifest.json";
 
-/// Id of the family that a run is of.
+/// What a run says of itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RunInfo {
+    /// Id of its family.
+    pub family: String,
+    /// Whether its training is done. A planner plays before that, as well as it has learned so far.
+    pub finished: bool,
+}
+
+/// What a run is: a folder, or the file of a planner alone.
 ///
 /// # Errors
-/// The folder has no manifest, or one that names no family.
+/// The folder has no manifest, or one that names no family; the file is no planner's.
+pub fn run_info(run: &Path) -> Result<RunInfo, PlannerError> {
+    /// The part of the file's table that is asked for here.
+    #[derive(serde::Deserialize)]
+    struct Meta {
+        family: String,
+        finished: bool,
+    }
+    let file = PlannerFile::path(run);
+    let meta = |file: &Path| TensorFile::read_table::<Meta>(file);
+    if !run.is_dir() && file.is_file() {
+        let Meta { family, finished } = meta(&file)?;
+        return Ok(RunInfo { family, finished });
+    }
+    let family = family_of(run)?;
+    let finished = match file.is_file() {
+        true => meta(&file)?.finished,
+        // A planner of another kind, or a training that has not come as far as one.
+        false => true,
+    };
+    Ok(RunInfo { family, finished })
+}
+
+/// Id of the family that a run is of: a folder, or the file of a planner alone.
+///
+/// # Errors
+/// As [`run_info`].
 pub fn family_of(run: &Path) -> Result<String, PlannerError> {
     /// The part that the manifests of all families have.
     #[derive(serde::Deserialize)]
     struct Manifest {
         family: String,
+    }
+    if run.is_file() {
+        return Ok(run_info(run)?.family);
     }
     let path = run.join(MANIFEST);
     let text = std::fs::read_to_string(&path).map_err(|source| PlannerError::File {
@@ -112,13 +152,39 @@ pub fn family_of(run: &Path) -> Result<String, PlannerError> {
 /// Makes a run folder with the least that a manifest must hold, for families that keep no other.
 ///
 /// # Errors
-/// The folder or the file cannot be written.
+/// The folder holds a run of another family, or it or the file cannot be written.
 pub fn write_manifest(run: &Path, family: &str) -> Result<(), PlannerError> {
     std::fs::create_dir_all(run).map_err(|source| PlannerError::File {
         path: run.to_owned(),
         action: "create",
         source,
     })?;
+    let path = run.join(MANIFEST);
+    if path.exists() {
+        let found = family_of(run)?;
+        if found != family {
+            let expected = format!("empty, or a run of {family}");
+            let found = format!("a run of {found}");
+            return Err(PlannerError::occupied(run, &expected, found));
+        }
+    } else {
+        refuse_leftovers(run)?;
+    }
     let text = serde_json::json!({"family": family}).to_string() + "\n";
-    write_atomically(&run.join(MANIFEST), |file| std::fs::write(file, text))
+    write_atomically(&path, |file| std::fs::write(file, text))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_manifest_of_another_family_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        write_manifest(folder.path(), "push").unwrap();
+        write_manifest(folder.path(), "push").unwrap();
+        let error = write_manifest(folder.path(), "pull").unwrap_err();
+        assert!(error.to_string().contains("a run of push"), "{error}");
+        assert_eq!(family_of(folder.path()).unwrap(), "push");
+    }
 }

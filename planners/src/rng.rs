@@ -24,6 +24,8 @@ pub(crate) enum Purpose {
     Choice = 9,
     /// Start states of generated plans; the number is that of the round.
     Starts = 10,
+    /// Noise of a candidate in a round of generated plans; the number is that of round and candidate.
+    GeneratedPlan = 11,
 }
 
 /// A seeded stream of numbers.

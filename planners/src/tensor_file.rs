@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
-use std::io;
+use std::io::{self, Read as _};
 use std::path::Path;
 
 use safetensors::{Dtype, SafeTensorError, SafeTensors, View};
@@ -16,6 +16,9 @@ use crate::nets::{Tensor, Weights};
 
 /// Key of the JSON table in the metadata. There is only one key: several would stand in no certain order.
 const METADATA_KEY: &str = "ksim";
+
+/// Bytes that a header has at most, as safetensors bounds it.
+const MOST_HEADER: u64 = 100_000_000;
 
 /// Tensors of f32 by name.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -77,6 +80,41 @@ impl TensorFile {
         })
     }
 
+    /// Reads the table of a file, without its tensors.
+    ///
+    /// # Errors
+    /// The file cannot be read, is damaged or has no such table.
+    pub(crate) fn read_table<M: DeserializeOwned>(path: &Path) -> Result<M, PlannerError> {
+        /// The part of a safetensors header that is asked for here.
+        #[derive(serde::Deserialize)]
+        struct Header {
+            #[serde(rename = "__metadata__")]
+            metadata: Option<HashMap<String, String>>,
+        }
+        let read = || -> io::Result<Vec<u8>> {
+            let mut file = fs::File::open(path)?;
+            let mut bytes = vec![0; 8];
+            file.read_exact(&mut bytes)?;
+            let length = bytes
+                .iter()
+                .rev()
+                .fold(0, |n, byte| n << 8 | u64::from(*byte));
+            file.take(length.min(MOST_HEADER)).read_to_end(&mut bytes)?;
+            Ok(bytes)
+        };
+        let bytes = read().map_err(|source| PlannerError::File {
+            path: path.to_owned(),
+            action: "read",
+            source,
+        })?;
+        let header: Result<Header, _> = serde_json::from_slice(&bytes[8..]);
+        let header = header.map_err(|source| PlannerError::Json {
+            path: path.to_owned(),
+            source,
+        })?;
+        table(path, header.metadata.as_ref())
+    }
+
     /// Reads a file and its table.
     ///
     /// # Errors
@@ -99,21 +137,7 @@ impl TensorFile {
         };
         let file = SafeTensors::deserialize(&bytes).map_err(damaged)?;
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(damaged)?;
-        let table = header
-            .metadata()
-            .as_ref()
-            .and_then(|table| table.get(METADATA_KEY));
-        let Some(table) = table else {
-            return Err(mismatch(
-                "its metadata".to_owned(),
-                "a table under the key \"ksim\"",
-                "none: the file is of another program".to_owned(),
-            ));
-        };
-        let metadata = serde_json::from_str(table).map_err(|source| PlannerError::Json {
-            path: path.to_owned(),
-            source,
-        })?;
+        let metadata = table(path, header.metadata().as_ref())?;
         let mut tensors = BTreeMap::new();
         for (name, view) in file.iter() {
             if view.dtype() != Dtype::F32 {
@@ -133,6 +157,25 @@ impl TensorFile {
         }
         Ok((Self { tensors }, metadata))
     }
+}
+
+/// The table beside the tensors.
+fn table<M: DeserializeOwned>(
+    path: &Path,
+    metadata: Option<&HashMap<String, String>>,
+) -> Result<M, PlannerError> {
+    let Some(table) = metadata.and_then(|table| table.get(METADATA_KEY)) else {
+        return Err(PlannerError::Mismatch {
+            path: path.to_owned(),
+            what: "its metadata".to_owned(),
+            expected: "a table under the key \"ksim\"".to_owned(),
+            found: "none: the file is of another program".to_owned(),
+        });
+    };
+    serde_json::from_str(table).map_err(|source| PlannerError::Json {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 /// Writes a file beside `path` and puts it in its place once it is whole and on disk.

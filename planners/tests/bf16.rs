@@ -6,7 +6,7 @@
 use ksim_planners::Precision;
 use ksim_planners::native::NativeBackend;
 use ksim_planners::nets::{
-    Architecture, Backend, HalfJannerConfig, JannerConfig, MlpConfig, TimestepEmbedding,
+    Architecture, Backend, HalfJannerConfig, JannerConfig, MlpConfig, Network, TimestepEmbedding,
     TrainingState, initial_weights,
 };
 
@@ -91,6 +91,48 @@ fn few_windows_are_near_those_in_f32() {
                     error > 1e-5,
                     "{what} of {architecture:?} are off by {error}"
                 );
+            }
+        }
+    }
+}
+
+#[test]
+fn groups_do_not_see_each_other() {
+    /// Outputs and gradients of `x` in groups of `group` windows, on `n_threads` threads.
+    fn of(
+        network: &mut dyn Network,
+        (x, group, n_threads): (&[f32], usize, usize),
+    ) -> [Vec<f32>; 2] {
+        let (n, output_len) = (
+            x.len() / network.architecture().input_len(),
+            network.architecture().output_len(),
+        );
+        network.in_groups_of(group);
+        let mut out = vec![f32::NAN; n * output_len];
+        let mut gradient = vec![f32::NAN; x.len()];
+        let cotangent: Vec<f32> = numbers(output_len, 1.0).repeat(n);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads);
+        pool.build().unwrap().install(|| {
+            network.forward(x, &vec![3.0; n], true, &mut out).unwrap();
+            network.input_gradient(&cotangent, &mut gradient).unwrap();
+        });
+        [out, gradient]
+    }
+    for architecture in architectures() {
+        for precision in [Precision::F32, Precision::Bf16] {
+            let backend = NativeBackend::with_precision(precision);
+            let weights = initial_weights(&architecture, 3).unwrap();
+            let mut network = backend.network(&architecture, &weights).unwrap();
+            for group in [1, 2, 3, 5] {
+                let group_len = group * architecture.input_len();
+                let x = numbers(7 * group_len, 0.0);
+                let [out, gradient] = of(network.as_mut(), (&x, group, 2));
+                let out_len = out.len() / 7;
+                for (at, x) in x.chunks_exact(group_len).enumerate() {
+                    let alone = of(network.as_mut(), (x, group, 1));
+                    assert!(alone[0] == out[at * out_len..][..out_len]);
+                    assert!(alone[1] == gradient[at * group_len..][..group_len]);
+                }
             }
         }
     }

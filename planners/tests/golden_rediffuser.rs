@@ -7,7 +7,10 @@ mod support;
 
 use std::collections::BTreeMap;
 
-use ksim_planners::algorithms::{confidence_probabilities, top_candidates};
+use ksim_planners::algorithms::{
+    confidence_probabilities, confidence_uncertainties, top_candidates,
+};
+use ksim_planners::config::ConfidenceRule;
 use ksim_planners::nets::{Architecture, MlpConfig, Tensor, Weights};
 use support::tolerance::assert_close;
 use support::{File, backends, folders};
@@ -52,13 +55,9 @@ fn golden_confidence_and_choice() {
                         .unwrap();
                     out
                 });
-                let u: Vec<f32> = (0..n)
-                    .map(|at| {
-                        let range = at * 64..(at + 1) * 64;
-                        let pairs = outputs[0][range.clone()].iter().zip(&outputs[1][range]);
-                        pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f32>() / 64.0
-                    })
-                    .collect();
+                let [predicted, target] = &outputs;
+                let u = confidence_uncertainties(ConfidenceRule::Windows, 64, predicted, target);
+                let u: Vec<f32> = u.iter().map(|&u| u as f32).collect();
                 assert_close(&u, file.values("uncertainty_all"), 1e-5, "uncertainty");
                 for env in 0..n_envs {
                     choose(&file, &u, env, (n_candidates, n_envs));

@@ -121,7 +121,7 @@ fn trace(folder: &Folder, file: &File, name: &str, backend: &dyn Backend) {
         1e-6,
         &format!("{label} rate"),
     );
-    let state = learner.state();
+    let state = learner.state().unwrap();
     check_norms(file, name, "model", &state.weights, &label);
     check_norms(file, name, "ema", &state.ema, &label);
     check_elements(file, name, &state.weights, &label);

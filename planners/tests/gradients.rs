@@ -144,7 +144,7 @@ fn gradient(network: &mut dyn TrainableNetwork, batch: &Batch) -> (Weights, f64)
     network.forward(&batch.x, &batch.t, true, &mut out).unwrap();
     let norm = network.backward(&batch.cotangent).unwrap();
     network.update(&WATCH, 0.0).unwrap();
-    (network.state().first_moment, norm)
+    (network.state().unwrap().first_moment, norm)
 }
 
 fn dot(a: &[f32], b: &[f32]) -> f64 {
@@ -291,7 +291,7 @@ fn training_does_not_depend_on_threads() {
                 };
                 network.update(&adam, 1e-3).unwrap();
             }
-            network.state()
+            network.state().unwrap()
         };
         let one = in_pool(1, train);
         assert!(

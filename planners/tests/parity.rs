@@ -112,7 +112,7 @@ fn gradient(backend: &dyn Backend, architecture: &Architecture, state: &Training
         ..ADAM
     };
     network.update(&watch, 0.0).unwrap();
-    network.state().first_moment
+    network.state().unwrap().first_moment
 }
 
 const LEARNING_RATE: f64 = 1e-2;
@@ -203,7 +203,7 @@ fn trainings_agree_and_change_hands() {
                     let backend = backends[at].as_ref();
                     let (mut network, out) = passed(backend, &architecture, state.clone());
                     network.update(&adam, LEARNING_RATE).unwrap();
-                    let after = network.state();
+                    let after = network.state().unwrap();
                     assert_follows(&after, &state, &gradients[at], &adam);
                     (after, out)
                 });
@@ -258,7 +258,7 @@ fn an_update_follows_the_formulas() {
                 weight -= 0.1 * m_hat / (v_hat.sqrt() + 1e-3);
                 ema = 0.75 * ema + 0.25 * weight;
             }
-            let state = network.state();
+            let state = network.state().unwrap();
             for (weights, expected) in [
                 (&state.weights, weight),
                 (&state.ema, ema),

@@ -3,10 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use ksim_planners::{LoadOptions, Registry, conformance};
-
-/// Batches of other sizes add in another order.
-const TOLERANCE: f64 = 1e-3;
+use ksim_planners::{LoadOptions, Precision, Registry, conformance};
 
 fn shipped() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/planners");
@@ -24,13 +21,22 @@ fn shipped_planners_load_and_plan() {
     let runs = shipped();
     assert!(!runs.is_empty());
     for run in runs {
-        let options = LoadOptions {
-            n_candidates: Some(2),
-            ..LoadOptions::default()
-        };
-        let make = || Registry::builtin().load(&run, &options).unwrap();
-        let width = make().spec().observation_dim;
-        let observations: Vec<f64> = (0..9 * width).map(|at| 0.3 * (at as f64).sin()).collect();
-        conformance::check_within(&make, &observations, TOLERANCE);
+        // Few candidates and many take different ways through the networks.
+        for (n_candidates, precision) in [
+            (1, Precision::F32),
+            (1, Precision::Bf16),
+            (3, Precision::F32),
+            (5, Precision::F32),
+        ] {
+            let options = LoadOptions {
+                n_candidates: Some(n_candidates),
+                precision,
+                ..LoadOptions::default()
+            };
+            let make = || Registry::builtin().load(&run, &options).unwrap();
+            let width = make().spec().observation_dim;
+            let observations: Vec<f64> = (0..9 * width).map(|at| 0.3 * (at as f64).sin()).collect();
+            conformance::check(&make, &observations);
+        }
     }
 }

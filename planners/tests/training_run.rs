@@ -7,11 +7,11 @@
 mod toy;
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use ksim_planners::{
     Candidates, LoadOptions, PlanRequest, PlannerError, Registry, SilentObserver, TrainControl,
-    TrainObserver, TrainProgress, TrainRequest, TrainSummary,
+    TrainObserver, TrainProgress, TrainRequest, TrainSummary, run_info,
 };
 use serde_json::{Map, Value, json};
 use toy::Toy;
@@ -103,8 +103,8 @@ fn a_run_that_was_stopped_ends_with_the_same_bytes() {
         )
         .unwrap();
         assert!(summary.finished);
-        // In the middle of the first phase, between two checkpoints, and in the last phase of two.
-        let mut stops = Stopping(vec![5, 13, 30]);
+        // In the middle of the first phase, between two checkpoints, at its end, and in the last phase of two.
+        let mut stops = Stopping(vec![5, 13, 24, 30]);
         let mut n_sessions = 0;
         loop {
             let summary =
@@ -115,8 +115,10 @@ fn a_run_that_was_stopped_ends_with_the_same_bytes() {
                 break;
             }
         }
-        assert_eq!(n_sessions, if family == "diffuser" { 3 } else { 4 });
-        for (found, expected) in contents(broken.path()).iter().zip(&contents(whole.path())) {
+        assert_eq!(n_sessions, if family == "diffuser" { 3 } else { 5 });
+        let (found, expected) = (contents(broken.path()), contents(whole.path()));
+        assert_eq!(found.len(), expected.len(), "{family}");
+        for (found, expected) in found.iter().zip(&expected) {
             assert_eq!(found.0, expected.0);
             assert!(found.1 == expected.1, "{family}: {} differs", found.0);
         }
@@ -310,6 +312,46 @@ fn the_original_confidence_trains_on_generated_plans() {
     let candidates = plan("rediffuser", &run, &LoadOptions::default(), &[0]);
     assert_eq!(candidates.novelties.len(), 4);
     assert!(candidates.novelties.iter().all(|novelty| *novelty > 0.0));
+    // Stopped while plans are made, it goes on to the same bytes.
+    let broken = tempfile::tempdir().unwrap();
+    let stopped = train(
+        "rediffuser",
+        &request,
+        Toy::default(),
+        broken.path(),
+        &mut Impatient,
+    );
+    let stopped = stopped.unwrap();
+    assert_eq!((stopped.finished, stopped.total_update), (false, 24));
+    let request = TrainRequest {
+        resume: true,
+        ..request
+    };
+    train(
+        "rediffuser",
+        &request,
+        Toy::default(),
+        broken.path(),
+        &mut SilentObserver,
+    )
+    .unwrap();
+    assert!(contents(broken.path()) == contents(folder.path()));
+}
+
+/// Stops as soon as something is prepared.
+struct Impatient;
+
+impl TrainObserver for Impatient {
+    fn progress(&mut self, _: &TrainProgress<'_>) -> TrainControl {
+        TrainControl::Continue
+    }
+
+    fn preparing(&mut self, _: &str, done: u64, _: u64) -> TrainControl {
+        match done {
+            0 => TrainControl::Continue,
+            _ => TrainControl::Stop,
+        }
+    }
 }
 
 #[test]
@@ -382,7 +424,17 @@ fn what_does_not_fit_is_refused_before_anything_is_written() {
         (
             with(json!({"data": {"horizon": "four"}})),
             toy,
-            "invalid type",
+            "\"data.horizon\" is \"four\" (invalid type",
+        ),
+        (
+            with(json!({"diffusion": {"n_updates": "abc"}})),
+            toy,
+            "\"diffusion.n_updates\" is \"abc\"",
+        ),
+        (
+            with(json!({"networks": {"model_dim": 65536}})),
+            toy,
+            "the number of parameters of a network",
         ),
         (
             smoke(),
@@ -499,7 +551,236 @@ fn a_loss_that_is_no_number_ends_the_training_and_keeps_the_checkpoint() {
         message.contains("is kept in") && message.contains("checkpoint"),
         "{message}"
     );
-    assert!(folder.path().join("run/checkpoint.safetensors").exists());
+    let before = contents(folder.path());
+    let again = TrainRequest {
+        resume: true,
+        ..request
+    };
+    // What is kept is read, and ends as before.
+    assert_eq!(
+        refused("diffuser", &again, Toy::default(), folder.path()),
+        message
+    );
+    assert!(contents(folder.path()) == before);
+}
+
+/// Weights that an update has made infinite.
+#[test]
+fn a_network_that_diverged_does_not_replace_a_checkpoint() {
+    let [base, folder, new] = [(), (), ()].map(|()| tempfile::tempdir().unwrap());
+    let toy = Toy::default();
+    train("diffuser", &smoke(), toy, base.path(), &mut SilentObserver).unwrap();
+    let request = TrainRequest {
+        overrides: table(json!({"curiosity": {"learning_rate": 1e300}})),
+        base: Some(base.path().join("run")),
+        checkpoint_interval: Some(1),
+        ..smoke()
+    };
+    let family = "curiosity-diffuser";
+    let message = refused(family, &request, toy, folder.path());
+    assert!(
+        message.contains("of network \"curiosity-predictor\" is not finite after its update 1"),
+        "{message}"
+    );
+    assert!(message.contains("is kept in"), "{message}");
+    let before = contents(folder.path());
+    let again = TrainRequest {
+        resume: true,
+        ..request
+    };
+    assert_eq!(refused(family, &again, toy, folder.path()), message);
+    assert!(contents(folder.path()) == before);
+    // Nothing is left of a training that never was finite.
+    let request = TrainRequest {
+        overrides: table(json!({"diffusion": {"learning_rate": 1e300}})),
+        checkpoint_interval: Some(1),
+        ..smoke()
+    };
+    let message = refused("diffuser", &request, toy, new.path());
+    assert!(!message.contains("is kept in"), "{message}");
+    let names: Vec<String> = contents(new.path())
+        .into_iter()
+        .map(|(name, _)| name)
+        .collect();
+    assert_eq!(names, ["manifest.json"]);
+}
+
+/// Replaces text in the header of a safetensors file.
+fn edit(path: &Path, from: &str, to: &str) {
+    let bytes = fs::read(path).unwrap();
+    let (length, rest) = bytes.split_at(8);
+    let length = usize::try_from(u64::from_le_bytes(length.try_into().unwrap())).unwrap();
+    let header = std::str::from_utf8(&rest[..length]).unwrap();
+    assert!(header.contains(from), "no {from} in {header}");
+    let mut header = header.replacen(from, to, 1);
+    header += &" ".repeat(header.len().next_multiple_of(8) - header.len());
+    let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
+    bytes.extend(header.as_bytes());
+    bytes.extend(&rest[length..]);
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn a_checkpoint_that_makes_no_sense_is_refused_and_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let toy = Toy::default();
+    let family = "curiosity-diffuser";
+    train(
+        family,
+        &smoke(),
+        toy,
+        folder.path(),
+        &mut Stopping(vec![10]),
+    )
+    .unwrap();
+    let path = folder.path().join("run/checkpoint.safetensors");
+    let good = fs::read(&path).unwrap();
+    let again = TrainRequest {
+        resume: true,
+        ..smoke()
+    };
+    for (from, to, expected) in [
+        (
+            r#"n_phases\":0"#,
+            r#"n_phases\":7"#,
+            "the number of phases done is 7, expected at most 2",
+        ),
+        (
+            r#"n_phases\":0"#,
+            r#"n_phases\":1"#,
+            "a network is missing, expected \"diffusion\"",
+        ),
+        (
+            r#"update\":10"#,
+            r#"update\":24"#,
+            "the number of updates is 24, expected at most 23",
+        ),
+        (
+            r#"update\":10"#,
+            r#"update\":9"#,
+            "the number of updates of network \"diffusion\" is 10",
+        ),
+        (
+            r#"reward\":5"#,
+            r#"reward\":18446744073709551615"#,
+            "of network \"reward\" is 184",
+        ),
+        (
+            r#"learning\":{\"diffusion\":10,"#,
+            r#"learning\":{"#,
+            "a tensor is diffusion.",
+        ),
+    ] {
+        edit(&path, from, to);
+        let message = refused(family, &again, toy, folder.path());
+        assert!(message.contains("checkpoint.safetensors"), "{message}");
+        assert!(message.contains(expected), "{message}");
+        fs::write(&path, &good).unwrap();
+    }
+    train(family, &again, toy, folder.path(), &mut SilentObserver).unwrap();
+}
+
+#[test]
+fn a_base_belongs_to_its_run() {
+    let [base, folder, other] = [(), (), ()].map(|()| tempfile::tempdir().unwrap());
+    let toy = Toy::default();
+    train("diffuser", &smoke(), toy, base.path(), &mut SilentObserver).unwrap();
+    let seed = TrainRequest { seed: 4, ..smoke() };
+    train("diffuser", &seed, toy, other.path(), &mut SilentObserver).unwrap();
+    let family = "curiosity-diffuser";
+    let request = TrainRequest {
+        base: Some(base.path().join("run")),
+        ..smoke()
+    };
+    train(
+        family,
+        &request,
+        toy,
+        folder.path(),
+        &mut Stopping(vec![30]),
+    )
+    .unwrap();
+    let again = |base: Option<PathBuf>| TrainRequest {
+        base,
+        resume: true,
+        ..smoke()
+    };
+    let message = refused(
+        family,
+        &again(Some(other.path().join("run"))),
+        toy,
+        folder.path(),
+    );
+    assert!(message.contains("the base of the run"), "{message}");
+    let message = refused(family, &again(Some("nowhere".into())), toy, folder.path());
+    assert!(message.contains("nowhere: cannot read"), "{message}");
+    let checkpoint = folder.path().join("run/checkpoint.safetensors");
+    let bytes = fs::read(&checkpoint).unwrap();
+    fs::remove_file(&checkpoint).unwrap();
+    let message = refused(family, &again(None), toy, folder.path());
+    assert!(
+        message.contains("the checkpoint of a run that began with a base is missing"),
+        "{message}"
+    );
+    fs::write(&checkpoint, bytes).unwrap();
+    train(
+        family,
+        &again(request.base),
+        toy,
+        folder.path(),
+        &mut SilentObserver,
+    )
+    .unwrap();
+}
+
+#[test]
+fn the_file_of_a_planner_is_one_and_tells_whether_it_is_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let toy = Toy::default();
+    train(
+        "diffuser",
+        &smoke(),
+        toy,
+        folder.path(),
+        &mut Stopping(vec![10]),
+    )
+    .unwrap();
+    let run = folder.path().join("run");
+    let file = run.join("planner.safetensors");
+    let info = run_info(&file).unwrap();
+    assert_eq!((info.family.as_str(), info.finished), ("diffuser", false));
+    assert_eq!(run_info(&run).unwrap(), info);
+    let registry = Registry::builtin();
+    registry.load(&file, &LoadOptions::default()).unwrap();
+    fs::remove_file(run.join("manifest.json")).unwrap();
+    let message = refused("diffuser", &smoke(), toy, folder.path());
+    assert!(
+        message.contains("a folder with planner.safetensors and without a manifest"),
+        "{message}"
+    );
+    edit(&file, r#"action_dim\":2"#, r#"action_dim\":3"#);
+    let load = |file: &Path| {
+        let error = registry
+            .load(file, &LoadOptions::default())
+            .map(drop)
+            .unwrap_err();
+        let cause = std::error::Error::source(&error).map(ToString::to_string);
+        format!("{error}: {}", cause.unwrap_or_default())
+    };
+    assert!(load(&file).contains("the number of bounds of actions"));
+    edit(&file, r#"action_dim\":3"#, r#"action_dim\":2"#);
+    edit(&file, r#"model_dim\":16"#, r#"model_dim\":32"#);
+    let message = load(&file);
+    assert!(
+        message.contains("planner.safetensors: network \"diffusion\": tensor "),
+        "{message}"
+    );
+    edit(
+        &file,
+        r#"n_candidates\":4"#,
+        r#"n_candidates\":4611686018427387904"#,
+    );
+    assert!(load(&file).contains("planner.safetensors: setting \"planning.n_candidates\""));
 }
 
 #[test]
@@ -534,6 +815,16 @@ fn a_planner_of_another_family_is_refused() {
         ..LoadOptions::default()
     };
     assert!(load("diffuser", &none).contains("planning.n_candidates"));
+    let many = LoadOptions {
+        n_candidates: Some(1 << 32),
+        ..LoadOptions::default()
+    };
+    assert!(load("diffuser", &many).contains("expected 1 to 65536"));
+    let slow = LoadOptions {
+        sampling_steps: Some(21),
+        ..LoadOptions::default()
+    };
+    assert!(load("diffuser", &slow).contains("expected 1 to 20 (diffusion.n_timesteps)"));
     let file = run.join("planner.safetensors");
     let bytes = fs::read(&file).unwrap();
     fs::write(&file, &bytes[..bytes.len() - 9]).unwrap();
@@ -572,8 +863,9 @@ fn requests_that_do_not_fit_are_refused() {
     assert!(ask(&[2], &[0.0; 4]).contains("expected 3"));
     assert!(ask(&[3, 2], &[0.0; 6]).contains("ascending"));
     assert!(ask(&[2, 2], &[0.0; 6]).contains("ascending"));
-    assert!(ask(&[1], &[0.0; 3]).contains("one that was reset"));
+    assert!(ask(&[1], &[0.0; 3]).contains("one that has been reset"));
     assert!(ask(&[2], &[0.0, f64::NAN, 0.0]).contains("NaN"));
+    assert!(ask(&[2], &[0.0, 1e300, 0.0]).contains("1e300 in column 1"));
     let none = PlanRequest {
         slots: &[],
         observations: &[],

@@ -99,6 +99,15 @@ impl PolicySpec {
         Ok(spec)
     }
 
+    /// Files that it is made of.
+    pub fn files(&self) -> Vec<PathBuf> {
+        match self {
+            Self::Random | Self::Zero => Vec::new(),
+            Self::Replay { file } | Self::Mlp { file, .. } => vec![file.clone()],
+            Self::Waypoint { far, near, .. } => [far].into_iter().chain(near).cloned().collect(),
+        }
+    }
+
     fn options(&self) -> &'static [&'static str] {
         match self {
             Self::Random | Self::Zero | Self::Replay { .. } => &[],

@@ -15,6 +15,7 @@ pub fn json(report: &Report, played: &Played) -> Value {
             "environment": entry.environment,
             "planner": entry.planner,
             "family": entry.family,
+            "finished": entry.finished,
             "summary": entry.summary,
             "k_sim": entry.k_sim,
             "novelty": entry.novelty,

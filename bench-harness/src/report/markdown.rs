@@ -26,6 +26,13 @@ pub fn markdown(report: &Report) -> String {
         report.episodes,
         report.seed
     );
+    for entry in report.entries.iter().filter(|entry| !entry.finished) {
+        let (planner, environment) = (&entry.planner, &entry.environment);
+        let _ = write!(
+            text,
+            "\n**The training of {planner} in {environment} is not finished.**\n"
+        );
+    }
     scores(report, &mut text);
     success(report, &mut text);
     k_sim(report, &mut text);

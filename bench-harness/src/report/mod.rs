@@ -38,6 +38,8 @@ pub struct Entry {
     pub planner: String,
     /// Its family, where it is of a run.
     pub family: Option<String>,
+    /// Whether its training is finished.
+    pub finished: bool,
     /// Returns, scores, success.
     pub summary: Summary,
     /// K-Sim, where it was measured.
@@ -66,6 +68,7 @@ impl Report {
                 entries.extend(
                     Entry::new(&environment.name, &planner.name, &rows).map(|entry| Entry {
                         family,
+                        finished: !played.unfinished.contains(&key),
                         paper,
                         ..entry
                     }),
@@ -93,6 +96,7 @@ impl Entry {
             environment: environment.to_owned(),
             planner: planner.to_owned(),
             family: None,
+            finished: true,
             summary: Summary::new(&records, &options)?,
             k_sim: k_sim.and_then(|k_sim| KSimSummary::new(&k_sim)),
             novelty: novelty.and_then(|novelty| bootstrap_mean(&novelty, &options)),

@@ -160,6 +160,10 @@ impl Suite {
                 return Err(entry(place.to_owned(), "at least 1", "0"));
             }
         }
+        if !(0.0..=1.0).contains(&self.discount) {
+            let found = self.discount.to_string();
+            return Err(entry("discount".to_owned(), "0 to 1", &found));
+        }
         let names = |names: &mut dyn Iterator<Item = &String>, kind: &str| {
             let mut seen = BTreeSet::new();
             for name in names {
@@ -230,6 +234,9 @@ impl EnvironmentEntry {
         let place = || format!("environment \"{}\"", self.name);
         if self.env.is_none() && self.dataset.is_none() {
             return Err(entry(place(), "env or dataset", "neither"));
+        }
+        if self.max_steps == Some(0) {
+            return Err(entry(place(), "max_steps of at least 1", "0"));
         }
         if self.k_sim == Some(true) && self.dataset.is_none() {
             return Err(entry(place(), "a dataset for K-Sim", "none"));
@@ -400,6 +407,8 @@ mod tests {
                 "a policy with some",
             ),
             ("max_steps = 20", "k_sim = true", "a dataset for K-Sim"),
+            ("max_steps = 20", "max_steps = 0", "max_steps of at least 1"),
+            ("runs = 3", "discount = nan", "discount: expected 0 to 1"),
         ] {
             assert!(SUITE.contains(from));
             let error = read(&SUITE.replace(from, to)).unwrap_err();

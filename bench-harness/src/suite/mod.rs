@@ -6,6 +6,7 @@
 //! and all planners have the same.
 
 mod config;
+mod contents;
 mod error;
 mod play;
 

@@ -1,22 +1,22 @@
 //! Playing a benchmark.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::num::NonZeroUsize;
-use std::path::Path;
 
 use ksim_datasets::{DatasetSource, OpenOptions, SearchRoots};
 use ksim_envs::ResetOptions;
 use ksim_envs::registry::{self, EnvironmentRequest};
 use ksim_envs::vector::VectorEnvironment;
-use ksim_planners::{Registry, family_of};
+use ksim_planners::{Registry, run_info};
 use serde_json::{Value, json};
 
 use super::config::{EnvironmentEntry, PlannerEntry, Suite, file_name};
+use super::contents::Contents;
 use super::error::SuiteError;
 use crate::error::HarnessError;
 use crate::k_sim::Reference;
-use crate::planner_source::{OpenPlanner, PlannerSource};
+use crate::planner_source::{OpenPlanner, PlannerSource, SourceError};
 use crate::policy::{self, Planned, Policy, PolicySpec};
 use crate::record::EpisodeTrace;
 use crate::rollout::{Continue, Observer, RolloutConfig, rollout};
@@ -69,13 +69,16 @@ pub struct Played {
     pub finished: bool,
     /// Family of every planner's run, by the names of planner and environment.
     pub families: BTreeMap<(String, String), String>,
+    /// Those whose training is not finished.
+    pub unfinished: BTreeSet<(String, String)>,
     /// What the results were made with.
     pub manifest: Value,
 }
 
 /// Plays the cells that are missing in the folder, `n_slots` environments at a time.
 ///
-/// Writes `manifest.json` before the first cell, each cell as it is done, and `episodes.parquet` in the end.
+/// Whatever can be wrong before a step is played is found first: cells of other settings, and planners that cannot be
+/// opened. Then it writes `manifest.json`, each cell as it is done, and `episodes.parquet` in the end.
 ///
 /// # Errors
 /// The first cell that fails, after those before it were kept.
@@ -91,88 +94,80 @@ pub fn play(
         rows: Vec::new(),
         finished: true,
         families: BTreeMap::new(),
+        unfinished: BTreeSet::new(),
         manifest: Value::Null,
     };
-    let mut sites = Vec::new();
-    for environment in &suite.environments {
-        let site = Site::new(environment, observer)?;
-        for planner in suite
-            .planners
-            .iter()
-            .filter(|planner| planner.plays_in(environment))
-        {
-            let source = planner.source_in(environment, &suite.folder)?;
-            if let Some(PlannerSource::Run(run)) = &source {
-                let key = (planner.name.clone(), environment.name.clone());
-                let failed = |source| crate::planner_source::SourceError::Planner {
-                    planner: planner.name.clone(),
-                    source,
-                };
-                played.families.insert(key, family_of(run).map_err(failed)?);
+    let sites = suite.environments.iter();
+    let sites = sites.map(|environment| Site::new(environment, observer));
+    let mut sites = sites.collect::<Result<Vec<_>, _>>()?;
+    let mut contents = Contents::default();
+    let mut cells = Vec::new();
+    for (at, site) in sites.iter().enumerate() {
+        for planner in &suite.planners {
+            if !planner.plays_in(site.entry) {
+                continue;
             }
+            let player = Player {
+                suite,
+                families,
+                planner,
+                source: planner.source_in(site.entry, &suite.folder)?,
+                n_slots,
+            };
+            player.describe(site, &mut played, observer)?;
+            let name = CellName {
+                planner: &planner.name,
+                environment: &site.entry.name,
+                run: 0,
+            };
+            let settings = player.settings(site, &mut contents);
+            let settings = settings.map_err(in_cell(name.to_string()))?;
+            cells.extend(player.cells(at, site, &settings, run_dir)?);
         }
-        sites.push(site);
     }
-    played.manifest = manifest(suite, &sites, &played.families);
+    played.manifest = manifest(suite, &sites, &played);
     let text = serde_json::to_string_pretty(&played.manifest).unwrap_or_default();
     run_dir.write_text("manifest.json", &(text + "\n"))?;
-    let of_site = |site: &Site<'_>| {
-        let players = suite
-            .planners
-            .iter()
-            .filter(|planner| planner.plays_in(site.entry));
-        players.count() * suite.runs
-    };
-    let n_cells = sites.iter().map(of_site).sum();
-    let mut number = 0;
-    for site in &mut sites {
-        for planner in suite
-            .planners
-            .iter()
-            .filter(|planner| planner.plays_in(site.entry))
-        {
-            for run in 0..suite.runs {
-                number += 1;
-                let cell = Cell {
-                    suite,
-                    families,
-                    planner,
-                    run,
-                    n_slots,
-                };
-                let name = cell.name(site);
-                let place = (number, n_cells);
-                let found = cell.played(site, run_dir, place, observer);
-                match found.map_err(|source| SuiteError::Cell {
-                    cell: name.clone(),
-                    source: Box::new(source),
-                })? {
-                    Some(rows) => played.rows.extend(rows),
-                    None => {
-                        played.finished = false;
-                        return Ok(played);
-                    }
-                }
+    let n_cells = cells.len();
+    let mut last_site = 0;
+    for (number, cell) in cells.into_iter().enumerate() {
+        if cell.site != last_site {
+            // The search over its dataset is not needed any more.
+            sites[last_site].reference = None;
+            last_site = cell.site;
+        }
+        let site = &mut sites[cell.site];
+        observer.cell(&cell.name(site), number + 1, n_cells, cell.done.is_some());
+        let name = cell.name(site).to_string();
+        let found = cell.played(site, run_dir, observer);
+        match found.map_err(in_cell(name))? {
+            Some(rows) => played.rows.extend(rows),
+            None => {
+                played.finished = false;
+                return Ok(played);
             }
         }
-        // The search over its dataset is not needed any more.
-        site.reference = None;
     }
     run_dir.write_episodes(&played.rows)?;
     Ok(played)
 }
 
+fn in_cell(cell: String) -> impl FnOnce(SuiteError) -> SuiteError {
+    move |source| SuiteError::Cell {
+        cell,
+        source: Box::new(source),
+    }
+}
+
 /// What the results are made with: enough to make them again.
-fn manifest(
-    suite: &Suite,
-    sites: &[Site<'_>],
-    families: &BTreeMap<(String, String), String>,
-) -> Value {
+fn manifest(suite: &Suite, sites: &[Site<'_>], played: &Played) -> Value {
     let environments: Vec<Value> = sites.iter().map(Site::describe).collect();
-    let runs: Vec<Value> = families
+    let runs: Vec<Value> = played
+        .families
         .iter()
-        .map(|((planner, environment), family)| {
-            json!({"planner": planner, "environment": environment, "family": family})
+        .map(|(key, family)| {
+            let ((planner, environment), finished) = (key, !played.unfinished.contains(key));
+            json!({"planner": planner, "environment": environment, "family": family, "finished": finished})
         })
         .collect();
     json!({
@@ -259,130 +254,133 @@ impl<'a> Site<'a> {
     }
 }
 
-/// What is played in one go.
-struct Cell<'a> {
+/// A planner in an environment.
+#[derive(Clone)]
+struct Player<'a> {
     suite: &'a Suite,
     families: &'a Registry,
     planner: &'a PlannerEntry,
-    run: usize,
+    source: Option<PlannerSource>,
     n_slots: NonZeroUsize,
 }
 
-impl Cell<'_> {
-    fn name(&self, site: &Site<'_>) -> String {
-        let name = CellName {
-            planner: &self.planner.name,
-            environment: &site.entry.name,
-            run: self.run,
-        };
-        name.to_string()
-    }
+/// What is played in one go.
+struct Cell<'a> {
+    player: Player<'a>,
+    /// Number of the environment.
+    site: usize,
+    run: usize,
+    settings: Value,
+    /// Its episodes, if it was played before.
+    done: Option<Vec<EpisodeRow>>,
+}
 
-    /// The episodes of the cell, from its file or played now; `None` where the observer stopped it.
-    fn played(
+impl<'a> Player<'a> {
+    /// Keeps what a run says of itself, and tells of what is not finished.
+    fn describe(
         &self,
-        site: &mut Site<'_>,
-        run_dir: &RunDir,
-        (number, of): (usize, usize),
+        site: &Site<'_>,
+        played: &mut Played,
         observer: &mut dyn SuiteObserver,
-    ) -> Result<Option<Vec<EpisodeRow>>, SuiteError> {
-        let source = self.planner.source_in(site.entry, &self.suite.folder)?;
-        let settings = self.settings(site, source.as_ref());
-        let file = format!(
-            "{}--{}--{}",
-            file_name(&self.planner.name),
-            file_name(&site.entry.name),
-            self.run
-        );
-        let done = run_dir.read_cell(&file, &settings)?;
-        let name = CellName {
-            planner: &self.planner.name,
-            environment: &site.entry.name,
-            run: self.run,
+    ) -> Result<(), SuiteError> {
+        let Some(PlannerSource::Run(run)) = &self.source else {
+            return Ok(());
         };
-        observer.cell(&name, number, of, done.is_some());
-        if done.is_some() {
-            return Ok(done);
+        let info = run_info(run).map_err(|source| SourceError::Planner {
+            planner: self.planner.name.clone(),
+            source,
+        })?;
+        let key = (self.planner.name.clone(), site.entry.name.clone());
+        if !info.finished {
+            let (planner, run) = (&self.planner.name, run.display());
+            observer.note(&format!("{planner}: the training of {run} is not finished"));
+            played.unfinished.insert(key.clone());
         }
-        let rows = self.play(site, source.as_ref(), observer)?;
-        match rows.len() == self.suite.episodes {
-            true => run_dir.write_cell(&file, &settings, &rows)?,
-            false => return Ok(None),
-        }
-        Ok(Some(rows))
+        played.families.insert(key, info.family);
+        Ok(())
     }
 
-    /// Everything that the cell's numbers follow from.
-    fn settings(&self, site: &Site<'_>, source: Option<&PlannerSource>) -> Value {
-        let hash = match source {
-            Some(PlannerSource::Run(run)) => run_hash(run),
+    /// Its cells, with what is done of them. If something is left to play, the planner is opened once to see that it
+    /// can be.
+    fn cells(
+        &self,
+        at: usize,
+        site: &Site<'_>,
+        settings: &Value,
+        run_dir: &RunDir,
+    ) -> Result<Vec<Cell<'a>>, SuiteError> {
+        let mut cells = Vec::with_capacity(self.suite.runs);
+        for run in 0..self.suite.runs {
+            let mut cell = Cell {
+                player: self.clone(),
+                site: at,
+                run,
+                settings: settings.clone(),
+                done: None,
+            };
+            cell.settings["run"] = json!(run);
+            let done = run_dir.read_cell(&cell.file(site), &cell.settings);
+            let name = cell.name(site).to_string();
+            cell.done = done.map_err(|error| in_cell(name)(error.into()))?;
+            cells.push(cell);
+        }
+        if let Some(cell) = cells.iter().find(|cell| cell.done.is_none()) {
+            let opened = || {
+                let environment = registry::make(&site.request)?;
+                let environments = VectorEnvironment::new(vec![environment])?;
+                self.policy(&environments).map(drop)
+            };
+            opened().map_err(in_cell(cell.name(site).to_string()))?;
+        }
+        Ok(cells)
+    }
+
+    /// Everything that the numbers of its cells follow from, but for the number of the run.
+    fn settings(&self, site: &Site<'_>, contents: &mut Contents) -> Result<Value, SuiteError> {
+        let run = match &self.source {
+            Some(PlannerSource::Run(run)) => Some(contents.of_run(run)?),
             _ => None,
+        };
+        let mut files = Vec::new();
+        match &self.source {
+            Some(PlannerSource::Nearest { dataset, .. } | PlannerSource::Replay { dataset }) => {
+                files.push(ksim_datasets::resolve(dataset, &SearchRoots::from_env())?.path)
+            }
+            Some(_) => {}
+            None => {
+                let text = self.planner.policy.as_deref().unwrap_or_default();
+                files.extend(PolicySpec::parse(text)?.files());
+            }
+        }
+        let files: Result<Vec<String>, SuiteError> =
+            files.iter().map(|path| contents.of(path)).collect();
+        let dataset = match &site.source {
+            Some(source) => Some(contents.of(&source.info().path)?),
+            None => None,
         };
         let mut planner = self.planner.clone();
         // Neither the name nor where else it plays changes what it does.
         planner.name.clear();
         planner.environments.clear();
-        json!({
+        Ok(json!({
+            "version": env!("CARGO_PKG_VERSION"),
             "planner": planner,
-            "run_hash": hash,
+            "run_hash": run,
+            "file_hashes": files?,
+            "dataset_hash": dataset,
             "environment": site.describe(),
             "goal_cell": site.entry.goal_cell,
             "reset_cell": site.entry.reset_cell,
             "k_sim": site.entry.measures_k_sim(),
-            "run": self.run,
             "episodes": self.suite.episodes,
             "seed": self.suite.seed,
             "discount": self.suite.discount,
-        })
+        }))
     }
 
-    fn play(
-        &self,
-        site: &mut Site<'_>,
-        source: Option<&PlannerSource>,
-        observer: &mut dyn SuiteObserver,
-    ) -> Result<Vec<EpisodeRow>, SuiteError> {
-        let n_slots = self.n_slots.get().min(self.suite.episodes);
-        let environments = (0..n_slots).map(|_| registry::make(&site.request));
-        let mut environments =
-            VectorEnvironment::new(environments.collect::<Result<Vec<_>, _>>()?)?;
-        let mut policy = self.policy(source, &environments)?;
-        if let (true, None, Some(source)) =
-            (site.entry.measures_k_sim(), &site.reference, &site.source)
-        {
-            site.reference = Some(Reference::fit(source.as_ref(), environments.spec())?);
-        }
-        let first = (self.run as u64).saturating_mul(self.suite.episodes as u64);
-        let config = RolloutConfig {
-            n_episodes: self.suite.episodes,
-            n_runs: 1,
-            seed: self.suite.seed.saturating_add(first),
-            discount: self.suite.discount,
-            reset: ResetOptions {
-                goal_cell: site.entry.goal_cell,
-                reset_cell: site.entry.reset_cell,
-            },
-            reference: site.scores,
-        };
-        let mut watcher = Watcher {
-            cell: self,
-            environment: &site.entry.name,
-            n_notes: policy.annotations().len(),
-            reference: site.reference.as_ref(),
-            rows: Vec::new(),
-            observer,
-        };
-        rollout(&mut environments, &mut *policy, &config, &mut watcher)?;
-        Ok(watcher.rows)
-    }
-
-    fn policy(
-        &self,
-        source: Option<&PlannerSource>,
-        environments: &VectorEnvironment,
-    ) -> Result<Box<dyn Policy>, SuiteError> {
+    fn policy(&self, environments: &VectorEnvironment) -> Result<Box<dyn Policy>, SuiteError> {
         let environment = environments.spec();
-        let Some(source) = source else {
+        let Some(source) = &self.source else {
             let text = self.planner.policy.as_deref().unwrap_or_default();
             return Ok(policy::build(&PolicySpec::parse(text)?, environment)?);
         };
@@ -403,27 +401,82 @@ impl Cell<'_> {
     }
 }
 
-/// A hash of the files of a run, of those that planning may read: another run of the same name, or one that was
-/// trained further, is another planner.
-fn run_hash(run: &Path) -> Option<String> {
-    let mut files: Vec<_> = std::fs::read_dir(run)
-        .ok()?
-        .filter_map(|entry| Some(entry.ok()?.path()).filter(|path| path.is_file()))
-        .filter(|path| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            !name.starts_with("checkpoint") && !name.starts_with("losses")
-        })
-        .collect();
-    files.sort();
-    let mut hasher = blake3::Hasher::new();
-    for path in files {
-        let name = path.file_name()?.to_string_lossy().into_owned();
-        let bytes = std::fs::read(&path).ok()?;
-        hasher.update(name.as_bytes());
-        hasher.update(&(bytes.len() as u64).to_le_bytes());
-        hasher.update(&bytes);
+impl Cell<'_> {
+    fn name<'b>(&'b self, site: &'b Site<'_>) -> CellName<'b> {
+        CellName {
+            planner: &self.player.planner.name,
+            environment: &site.entry.name,
+            run: self.run,
+        }
     }
-    Some(hasher.finalize().to_hex()[..32].to_owned())
+
+    /// Name of its file.
+    fn file(&self, site: &Site<'_>) -> String {
+        format!(
+            "{}--{}--{}",
+            file_name(&self.player.planner.name),
+            file_name(&site.entry.name),
+            self.run
+        )
+    }
+
+    /// The episodes of the cell, from its file or played now; `None` where the observer stopped it.
+    fn played(
+        mut self,
+        site: &mut Site<'_>,
+        run_dir: &RunDir,
+        observer: &mut dyn SuiteObserver,
+    ) -> Result<Option<Vec<EpisodeRow>>, SuiteError> {
+        if let Some(rows) = self.done.take() {
+            return Ok(Some(rows));
+        }
+        let rows = self.play(site, observer)?;
+        match rows.len() == self.player.suite.episodes {
+            true => run_dir.write_cell(&self.file(site), &self.settings, &rows)?,
+            false => return Ok(None),
+        }
+        Ok(Some(rows))
+    }
+
+    fn play(
+        &self,
+        site: &mut Site<'_>,
+        observer: &mut dyn SuiteObserver,
+    ) -> Result<Vec<EpisodeRow>, SuiteError> {
+        let Player { suite, n_slots, .. } = self.player;
+        let n_slots = n_slots.get().min(suite.episodes);
+        let environments = (0..n_slots).map(|_| registry::make(&site.request));
+        let mut environments =
+            VectorEnvironment::new(environments.collect::<Result<Vec<_>, _>>()?)?;
+        let mut policy = self.player.policy(&environments)?;
+        if let (true, None, Some(source)) =
+            (site.entry.measures_k_sim(), &site.reference, &site.source)
+        {
+            site.reference = Some(Reference::fit(source.as_ref(), environments.spec())?);
+        }
+        let first = (self.run as u64).saturating_mul(suite.episodes as u64);
+        let config = RolloutConfig {
+            n_episodes: suite.episodes,
+            n_runs: 1,
+            seed: suite.seed.saturating_add(first),
+            discount: suite.discount,
+            reset: ResetOptions {
+                goal_cell: site.entry.goal_cell,
+                reset_cell: site.entry.reset_cell,
+            },
+            reference: site.scores,
+        };
+        let mut watcher = Watcher {
+            cell: self,
+            environment: &site.entry.name,
+            n_notes: policy.annotations().len(),
+            reference: site.reference.as_ref(),
+            rows: Vec::new(),
+            observer,
+        };
+        rollout(&mut environments, &mut *policy, &config, &mut watcher)?;
+        Ok(watcher.rows)
+    }
 }
 
 /// Keeps a row per episode.
@@ -449,7 +502,7 @@ impl Observer for Watcher<'_> {
         let mut record = trace.record;
         record.run = self.cell.run;
         self.rows.push(EpisodeRow {
-            planner: self.cell.planner.name.clone(),
+            planner: self.cell.player.planner.name.clone(),
             environment: self.environment.to_owned(),
             record,
             k_sim,

@@ -13,7 +13,7 @@ use crate::{atomic, output};
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Global options")]
 pub(crate) struct GlobalArgs {
-    /// Threads to compute with; results do not depend on it [default: all cores]
+    /// Threads to compute with; results do not depend on it, except by libtorch [default: all cores]
     #[arg(long, global = true, value_name = "N")]
     threads: Option<NonZero<u16>>,
     /// Neither progress nor warnings on stderr

@@ -7,6 +7,7 @@ use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 use ksim_bench_harness::planner_source::{OpenPlanner, PlannerSource};
 use ksim_bench_harness::policy::Planned;
+use ksim_bench_harness::suite::PlannerEntry;
 use ksim_envs::EnvironmentSpec;
 use ksim_planners::process::Timeouts;
 use ksim_planners::{LoadOptions, Precision, Registry};
@@ -27,6 +28,20 @@ pub(crate) struct PlannerArgs {
 #[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = "Planner")]
 pub(crate) struct PlanningArgs {
+    #[command(flatten)]
+    plan: PlanArgs,
+    /// Weight of curiosity, λ of the paper; 0 is Diffuser
+    #[arg(long, value_name = "LAMBDA", value_parser = weight, allow_negative_numbers = true)]
+    curiosity: Option<f64>,
+    /// Seconds that a planner process may take to start, and to answer [default: 120]
+    #[arg(long, value_name = "S")]
+    planner_timeout: Option<u16>,
+}
+
+/// How a planner plans with whatever weight of curiosity.
+#[derive(Debug, Clone, Default, Args)]
+#[command(next_help_heading = "Planner")]
+pub(crate) struct PlanArgs {
     /// Candidates of every plan
     #[arg(long, value_name = "K")]
     candidates: Option<NonZero<u32>>,
@@ -36,9 +51,6 @@ pub(crate) struct PlanningArgs {
     /// Weight of guidance, w_cg of the paper
     #[arg(long, value_name = "W", value_parser = weight, allow_negative_numbers = true)]
     guidance: Option<f64>,
-    /// Weight of curiosity, λ of the paper; 0 is Diffuser
-    #[arg(long, value_name = "LAMBDA", value_parser = weight, allow_negative_numbers = true)]
-    curiosity: Option<f64>,
     /// Denoising steps of a plan
     #[arg(long, value_name = "N")]
     sampling_steps: Option<NonZero<u32>>,
@@ -57,10 +69,10 @@ pub(crate) struct PlanningArgs {
     /// How numbers are computed
     #[arg(long, value_enum, value_name = "TYPE")]
     precision: Option<PrecisionArg>,
-    /// Seconds that a planner process may take to start, and to answer
-    #[arg(long, value_name = "S", default_value_t = 120)]
-    planner_timeout: u16,
 }
+
+/// Seconds that a planner process may take.
+const TIMEOUT_S: u16 = 120;
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum PrecisionArg {
@@ -88,28 +100,77 @@ fn count(number: NonZero<u32>) -> usize {
     usize::try_from(number.get()).unwrap_or(usize::MAX)
 }
 
+impl PlanArgs {
+    /// The flags that were given, and those that were not.
+    fn given(&self) -> [(&'static str, bool); 9] {
+        [
+            ("--candidates", self.candidates.is_some()),
+            ("--replan-interval", self.replan_interval.is_some()),
+            ("--guidance", self.guidance.is_some()),
+            ("--sampling-steps", self.sampling_steps.is_some()),
+            ("--temperature", self.temperature.is_some()),
+            ("--warm-start", self.warm_start.is_some()),
+            ("--backend", self.backend.is_some()),
+            ("--device", self.device.is_some()),
+            ("--precision", self.precision.is_some()),
+        ]
+    }
+
+    fn precision(&self) -> Option<Precision> {
+        self.precision.map(|precision| match precision {
+            PrecisionArg::F32 => Precision::F32,
+            PrecisionArg::Bf16 => Precision::Bf16,
+        })
+    }
+
+    /// The same in a suite.
+    pub(crate) fn entry(&self) -> PlannerEntry {
+        PlannerEntry {
+            replan_interval: self.replan_interval.and_then(|n| n.try_into().ok()),
+            candidates: self.candidates.map(count),
+            guidance: self.guidance,
+            sampling_steps: self.sampling_steps.map(count),
+            temperature: self.temperature,
+            warm_start: self.warm_start,
+            backend: self.backend.clone(),
+            device: self.device.clone(),
+            precision: self.precision(),
+            ..PlannerEntry::default()
+        }
+    }
+}
+
 impl PlanningArgs {
+    /// The first flag that was given.
+    pub(crate) fn first_given(&self) -> Option<&'static str> {
+        let own = [
+            ("--curiosity", self.curiosity.is_some()),
+            ("--planner-timeout", self.planner_timeout.is_some()),
+        ];
+        let mut all = own.into_iter().chain(self.plan.given());
+        all.find(|(_, is_given)| *is_given).map(|(flag, _)| flag)
+    }
+
     /// How the planner is opened.
     pub(crate) fn open_options(&self, n_threads: usize) -> OpenPlanner {
-        let timeout = Duration::from_secs(u64::from(self.planner_timeout));
+        let timeout = self.planner_timeout.unwrap_or(TIMEOUT_S);
+        let timeout = Duration::from_secs(u64::from(timeout));
+        let plan = &self.plan;
         OpenPlanner {
             load: LoadOptions {
-                backend: self.backend.clone(),
-                device: self.device.clone(),
+                backend: plan.backend.clone(),
+                device: plan.device.clone(),
                 n_threads: Some(n_threads),
-                precision: match self.precision {
-                    Some(PrecisionArg::Bf16) => Precision::Bf16,
-                    _ => Precision::F32,
-                },
-                n_candidates: self.candidates.map(count),
-                sampling_steps: self.sampling_steps.map(count),
-                guidance_weight: self.guidance,
+                precision: plan.precision().unwrap_or_default(),
+                n_candidates: plan.candidates.map(count),
+                sampling_steps: plan.sampling_steps.map(count),
+                guidance_weight: plan.guidance,
                 curiosity_weight: self.curiosity,
-                temperature: self.temperature,
-                warm_start: self.warm_start,
+                temperature: plan.temperature,
+                warm_start: plan.warm_start,
                 replan_interval: None,
             },
-            replan_interval: self
+            replan_interval: plan
                 .replan_interval
                 .map_or(NonZero::<usize>::MIN, |interval| {
                     NonZero::try_from(interval).unwrap_or(NonZero::<usize>::MIN)
@@ -141,11 +202,18 @@ impl Chosen {
             .with_context(|| format!("planner `{}`", self.text))
     }
 
+    /// What to know about it before it plays.
+    pub(crate) fn warning(&self) -> Option<String> {
+        let warning = || format!("the training of {} is not finished", self.text);
+        (self.source.is_finished() == Some(false)).then(warning)
+    }
+
     /// How it plans, as far as it was said.
     pub(crate) fn describe(&self) -> Value {
         let load = &self.options.load;
         json!({
             "source": self.text,
+            "finished": self.source.is_finished(),
             "replan_interval": self.options.replan_interval,
             "n_candidates": load.n_candidates,
             "guidance_weight": load.guidance_weight,

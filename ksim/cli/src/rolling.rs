@@ -107,6 +107,9 @@ impl Ready {
             .map(make)
             .collect::<Result<Vec<_>, _>>()?;
         let environments = VectorEnvironment::new(environments)?;
+        if let Some(warning) = player.warning() {
+            context.warn(&warning);
+        }
         if let Some(note) = setup.note {
             context.warn(&format!("{}: {note}", environments.spec().id));
         }

@@ -3,7 +3,8 @@
 use std::num::NonZero;
 
 use anyhow::{Context as _, Result, bail};
-use clap::Args;
+use clap::error::ErrorKind;
+use clap::{Args, CommandFactory as _};
 use ksim_bench_harness::planner_source::PlannerSource;
 use ksim_bench_harness::policy::{self, Policy, PolicySpec};
 use ksim_bench_harness::rollout::RolloutConfig;
@@ -59,7 +60,7 @@ pub(crate) struct PlayArgs {
     /// Seed: episode k resets with seed + k, and what the policy draws follows from the same
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub(crate) seed: u64,
-    /// Environments that are stepped together; results do not depend on it [default: 8 per thread]
+    /// Environments that are stepped together; results do not depend on it, except with planners by libtorch [default: 8 per thread]
     #[arg(long, value_name = "N")]
     pub(crate) parallel: Option<NonZero<u16>>,
     /// Discount of the discounted return
@@ -201,6 +202,14 @@ impl Player {
         }
     }
 
+    /// What to know about it before it plays.
+    pub(crate) fn warning(&self) -> Option<String> {
+        match self {
+            Self::Policy(..) => None,
+            Self::Planner(chosen) => chosen.warning(),
+        }
+    }
+
     /// How a planner plans.
     pub(crate) fn planner(&self) -> Option<Value> {
         match self {
@@ -219,6 +228,13 @@ impl PlayArgs {
                 source: PlannerSource::parse(text)?,
                 options: self.planner.planning.open_options(context.threads()),
             }))),
+            (None, Some(_)) if self.planner.planning.first_given().is_some() => {
+                let flag = self.planner.planning.first_given().unwrap_or_default();
+                let message = format!("{flag} is for --planner, not for --policy");
+                Err(crate::cli::Cli::command()
+                    .error(ErrorKind::ArgumentConflict, message)
+                    .into())
+            }
             (None, Some(text)) => Ok(Player::Policy(PolicySpec::parse(text)?, text.clone())),
             (None, None) => bail!("neither --policy nor --planner is given"),
         }

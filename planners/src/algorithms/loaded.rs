@@ -36,7 +36,7 @@ impl Loaded {
         replace(&mut planning.guidance_weight, options.guidance_weight);
         replace(&mut planning.curiosity_weight, options.curiosity_weight);
         replace(&mut planning.temperature, options.temperature);
-        planning.check()?;
+        planning.check(file.meta.config.diffusion.n_timesteps)?;
         Ok(Self {
             meta: file.meta,
             normalizer: file.normalizer,

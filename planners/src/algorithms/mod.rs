@@ -11,4 +11,6 @@ mod rediffuser;
 
 pub use curiosity_diffuser::CuriosityDiffuser;
 pub use diffuser::Diffuser;
-pub use rediffuser::{ReDiffuser, confidence_probabilities, top_candidates};
+pub use rediffuser::{
+    ReDiffuser, confidence_probabilities, confidence_uncertainties, top_candidates,
+};

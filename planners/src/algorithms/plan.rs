@@ -82,12 +82,15 @@ pub(crate) struct DiffusionPlanner {
 impl DiffusionPlanner {
     pub(crate) fn new(
         loaded: Loaded,
-        guide: Guide,
+        mut guide: Guide,
         choice: Box<dyn Choice>,
         options: &LoadOptions,
     ) -> Result<Self, PlannerError> {
-        let network = loaded.network(DIFFUSION)?;
+        let mut network = loaded.network(DIFFUSION)?;
         let (meta, planning) = (loaded.meta, loaded.planning);
+        // A plan does not depend on how many environments plan beside it.
+        network.in_groups_of(planning.n_candidates);
+        guide.in_groups_of(planning.n_candidates);
         let schedule = Schedule::cosine(meta.config.diffusion.n_timesteps);
         let table = SamplingTable::new(
             &schedule,
@@ -134,43 +137,6 @@ impl DiffusionPlanner {
         self.spec.horizon * self.width()
     }
 
-    fn check(&self, request: &PlanRequest<'_>) -> Result<(), PlannerError> {
-        let expected = request.slots.len() * self.spec.observation_dim;
-        if request.observations.len() != expected {
-            return Err(PlannerError::Length {
-                what: "the observations of a request",
-                expected,
-                found: request.observations.len(),
-            });
-        }
-        if !request.slots.is_sorted_by(|a, b| a < b) {
-            return Err(PlannerError::Request {
-                what: "the order of slots",
-                expected: "ascending".to_owned(),
-                found: format!("{:?}", request.slots),
-            });
-        }
-        if let Some(slot) = request
-            .slots
-            .iter()
-            .find(|slot| !self.slots.contains_key(slot))
-        {
-            return Err(PlannerError::Request {
-                what: "a slot",
-                expected: "one that was reset".to_owned(),
-                found: slot.to_string(),
-            });
-        }
-        if let Some(value) = request.observations.iter().find(|value| !value.is_finite()) {
-            return Err(PlannerError::Request {
-                what: "an observation",
-                expected: "a finite number".to_owned(),
-                found: value.to_string(),
-            });
-        }
-        Ok(())
-    }
-
     /// Normalized, in the order that the networks see.
     fn normalized(&self, observation: &[f64]) -> Vec<f32> {
         let order = &self.meta.observation_order;
@@ -215,33 +181,25 @@ impl DiffusionPlanner {
         Ok((sample.x, sample.score))
     }
 
-    /// Chooses among the candidates of one slot and remembers the choice.
-    fn settle(
+    /// Chooses among the candidates of one slot.
+    fn choose(
         &mut self,
         slot: usize,
         windows: &[f32],
         scores: &[f64],
     ) -> Result<Chosen, PlannerError> {
-        let (window_len, width) = (self.window_len(), self.width());
-        let state = self.slots.get_mut(&slot);
-        let (seed, n_plans) = state
-            .as_ref()
+        let width = self.width();
+        let (seed, n_plans) = self
+            .slots
+            .get(&slot)
             .map_or((0, 0), |state| (state.seed, state.n_plans));
         let plans = SlotPlans {
             windows,
             width,
             scores,
         };
-        let chosen = self
-            .choice
-            .choose(&plans, Rng::new(seed, Purpose::Choice, n_plans))?;
-        if let Some(state) = state {
-            state.n_plans += 1;
-            state.last = self.tail.is_some().then(|| {
-                windows[chosen.index * window_len..(chosen.index + 1) * window_len].to_vec()
-            });
-        }
-        Ok(chosen)
+        self.choice
+            .choose(&plans, Rng::new(seed, Purpose::Choice, n_plans))
     }
 
     /// The actions of windows, clipped.
@@ -276,7 +234,7 @@ impl Planner for DiffusionPlanner {
     }
 
     fn plan(&mut self, request: &PlanRequest<'_>) -> Result<Candidates, PlannerError> {
-        self.check(request)?;
+        request.check(&self.spec, |slot| self.slots.contains_key(&slot))?;
         let n_candidates = self.planning.n_candidates;
         let mut groups: [Vec<(usize, Vec<f32>)>; 2] = [Vec::new(), Vec::new()];
         let observations = request.observations.chunks_exact(self.spec.observation_dim);
@@ -302,14 +260,18 @@ impl Planner for DiffusionPlanner {
                     part.iter().map(|&value| f64::from(value)).collect()
                 };
                 let (scores, novelties) = (widen(&score.log_p), widen(&score.novelty));
-                let chosen = self.settle(*slot, windows, &scores)?;
+                let chosen = self.choose(*slot, windows, &scores)?;
                 let novelties = chosen.novelties.unwrap_or(novelties);
-                found.insert(
-                    *slot,
-                    (self.actions(windows), scores, novelties, chosen.index),
-                );
+                let window_len = self.window_len();
+                let executed = self
+                    .tail
+                    .is_some()
+                    .then(|| windows[chosen.index * window_len..][..window_len].to_vec());
+                let plan = (self.actions(windows), scores, novelties, chosen.index);
+                found.insert(*slot, (plan, executed));
             }
         }
+        // Now that no plan can fail any more: a request that does leaves all slots as they were.
         let mut candidates = Candidates {
             n_candidates,
             horizon: self.spec.horizon,
@@ -318,7 +280,11 @@ impl Planner for DiffusionPlanner {
             novelties: Vec::new(),
             chosen: Vec::new(),
         };
-        for (actions, scores, novelties, chosen) in found.into_values() {
+        for (slot, ((actions, scores, novelties, chosen), executed)) in found {
+            if let Some(state) = self.slots.get_mut(&slot) {
+                state.n_plans += 1;
+                state.last = executed;
+            }
             candidates.actions.extend(actions);
             candidates.scores.extend(scores);
             candidates.novelties.extend(novelties);

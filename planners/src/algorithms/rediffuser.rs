@@ -97,7 +97,7 @@ struct Confident {
 }
 
 impl Confident {
-    /// Uncertainty u of each candidate: the mean of the squared differences, or their root of the sum.
+    /// Uncertainty u of each candidate.
     fn uncertainties(&mut self, plans: &SlotPlans<'_>) -> Result<Vec<f64>, PlannerError> {
         let x = match self.rule {
             ConfidenceRule::Windows => plans.windows.to_vec(),
@@ -109,19 +109,9 @@ impl Confident {
             (vec![0.0; t.len() * out_dim], vec![0.0; t.len() * out_dim]);
         self.predictor.forward(&x, &t, false, &mut predicted)?;
         self.target.forward(&x, &t, false, &mut fixed)?;
-        let rows = predicted
-            .chunks_exact(out_dim)
-            .zip(fixed.chunks_exact(out_dim));
-        let squares = rows.map(|(predicted, fixed)| -> f64 {
-            let pairs = predicted.iter().zip(fixed);
-            pairs
-                .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
-                .sum()
-        });
-        Ok(match self.rule {
-            ConfidenceRule::Windows => squares.map(|sum| sum / out_dim as f64).collect(),
-            ConfidenceRule::Plans => squares.map(f64::sqrt).collect(),
-        })
+        Ok(confidence_uncertainties(
+            self.rule, out_dim, &predicted, &fixed,
+        ))
     }
 
     fn raw_states(&self, plans: &SlotPlans<'_>) -> Vec<f32> {
@@ -154,6 +144,28 @@ impl Choice for Confident {
     }
 }
 
+/// Uncertainty u of each candidate from the outputs of predictor and target, of the shape `(n, out_dim)`: the mean of the
+/// squared differences, or with [`ConfidenceRule::Plans`] the root of their sum.
+pub fn confidence_uncertainties(
+    rule: ConfidenceRule,
+    out_dim: usize,
+    predicted: &[f32],
+    target: &[f32],
+) -> Vec<f64> {
+    let rows = predicted.chunks_exact(out_dim);
+    let rows = rows.zip(target.chunks_exact(out_dim));
+    let squares = rows.map(|(predicted, target)| -> f64 {
+        let pairs = predicted.iter().zip(target);
+        pairs
+            .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
+            .sum()
+    });
+    match rule {
+        ConfidenceRule::Windows => squares.map(|sum| sum / out_dim as f64).collect(),
+        ConfidenceRule::Plans => squares.map(f64::sqrt).collect(),
+    }
+}
+
 /// Indices of the `n` highest scores, the highest first; of equal ones the first.
 pub fn top_candidates(scores: &[f64], n: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..scores.len()).collect();
@@ -172,4 +184,17 @@ pub fn confidence_probabilities(uncertainties: &[f64], scaling: f64) -> Vec<f64>
         .collect();
     let total: f64 = weights.iter().sum();
     weights.iter().map(|weight| weight / total).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn uncertainty_is_a_mean_of_squares_or_a_distance() {
+        let (predicted, target) = ([1.0, 2.0, 0.0, 0.5], [1.0, -1.0, 4.0, 0.5]);
+        let of = |rule| confidence_uncertainties(rule, 2, &predicted, &target);
+        assert_eq!(of(ConfidenceRule::Windows), [4.5, 8.0]);
+        assert_eq!(of(ConfidenceRule::Plans), [3.0, 4.0]);
+    }
 }

@@ -91,6 +91,10 @@ impl<N: Network + ?Sized> Network for OnPool<N> {
             .install(|| network.input_gradient(cotangent, gradient))
     }
 
+    fn in_groups_of(&mut self, n: usize) {
+        self.network.in_groups_of(n);
+    }
+
     fn on_rayon(&self) -> bool {
         self.network.on_rayon() && self.pool.current_num_threads() > 1
     }
@@ -107,7 +111,7 @@ impl TrainableNetwork for OnPool<dyn TrainableNetwork> {
         self.pool.install(|| network.update(adam, learning_rate))
     }
 
-    fn state(&self) -> TrainingState {
+    fn state(&self) -> Result<TrainingState, PlannerError> {
         self.network.state()
     }
 }

@@ -8,13 +8,14 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
-use super::saved::{self, DEMONSTRATIONS};
+use super::saved;
 use super::{Demonstrations, Nearest, NearestOptions, Random, Replay, ReplayOptions};
 use crate::error::PlannerError;
 use crate::family::{
-    LoadOptions, PlannerFamily, Preset, TrainObserver, TrainRequest, TrainSummary,
+    LoadOptions, PlannerFamily, Precision, Preset, TrainObserver, TrainRequest, TrainSummary,
 };
 use crate::planner::Planner;
+use crate::run_folder::DEMONSTRATIONS;
 
 /// The only preset of a baseline.
 const PRESETS: &[Preset] = &[Preset {
@@ -65,6 +66,7 @@ impl PlannerFamily for RandomFamily {
         run: &Path,
         observer: &mut dyn TrainObserver,
     ) -> Result<TrainSummary, PlannerError> {
+        saved::check_folder::<RandomOptions>(self.id(), request, run)?;
         let demonstrations = Demonstrations::read(data)?;
         let (action_low, action_high) = demonstrations.action_bounds();
         let defaults = RandomOptions {
@@ -114,6 +116,7 @@ impl PlannerFamily for NearestFamily {
         observer: &mut dyn TrainObserver,
     ) -> Result<TrainSummary, PlannerError> {
         let options = settings(self.id(), request, NearestOptions::default(), observer)?;
+        saved::check_folder::<NearestOptions>(self.id(), request, run)?;
         let demonstrations = Arc::new(Demonstrations::read(data)?);
         Nearest::new(Arc::clone(&demonstrations), options)?;
         saved::write(self.id(), request, &options, &demonstrations, run, true)
@@ -149,6 +152,7 @@ impl PlannerFamily for ReplayFamily {
         observer: &mut dyn TrainObserver,
     ) -> Result<TrainSummary, PlannerError> {
         let options = settings(self.id(), request, ReplayOptions::default(), observer)?;
+        saved::check_folder::<ReplayOptions>(self.id(), request, run)?;
         let demonstrations = Arc::new(Demonstrations::read(data)?);
         Replay::new(Arc::clone(&demonstrations), options)?;
         saved::write(self.id(), request, &options, &demonstrations, run, true)
@@ -187,6 +191,13 @@ fn settings<T: Serialize + DeserializeOwned>(
             family,
             name: name.clone(),
             known: vec![PRESETS[0].name],
+        });
+    }
+    if let Some(base) = &request.base {
+        return Err(PlannerError::Request {
+            what: "the base",
+            expected: format!("nothing for {family}, which has no network"),
+            found: base.display().to_string(),
         });
     }
     if request.backend.is_some() || request.device.is_some() {
@@ -237,6 +248,7 @@ fn n_candidates(family: &str, options: &LoadOptions) -> Result<Option<usize>, Pl
         ("the warm start", options.warm_start.is_some()),
         ("the backend", options.backend.is_some()),
         ("the device", options.device.is_some()),
+        ("the precision", options.precision != Precision::F32),
     ];
     match asked.into_iter().find(|(_, is_asked)| *is_asked) {
         None => Ok(options.n_candidates),
@@ -256,7 +268,11 @@ mod tests {
     use crate::planner::PlanRequest;
 
     /// A run of the walks, as `train` would write it.
-    fn write<T: Serialize>(family: &str, options: &T, run: &Path) -> TrainSummary {
+    fn write<T: Serialize + DeserializeOwned>(
+        family: &str,
+        options: &T,
+        run: &Path,
+    ) -> TrainSummary {
         let request = TrainRequest::default();
         saved::write(family, &request, options, &walks(&[5, 4]), run, true).unwrap()
     }
@@ -368,6 +384,28 @@ mod tests {
             error.contains("a run of replay, expected no run"),
             "{error}"
         );
+        // Going on with a run does it no harm either.
+        let resume = |family: &str, seed, lengths: &[usize]| {
+            let request = TrainRequest {
+                seed,
+                resume: true,
+                ..TrainRequest::default()
+            };
+            let options = ReplayOptions::default();
+            let written = saved::write(family, &request, &options, &walks(lengths), &run, true);
+            written.map(drop).map_err(|error| error.to_string())
+        };
+        let manifest = std::fs::read(run.join("manifest.json")).unwrap();
+        for (result, expected) in [
+            (resume("random", 0, &[5, 4]), "replay, expected random"),
+            (resume("replay", 1, &[5, 4]), "the seed of the run is 0"),
+            (resume("replay", 0, &[5]), "the dataset of the run"),
+        ] {
+            let error = result.unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+        resume("replay", 0, &[5, 4]).unwrap();
+        assert_eq!(std::fs::read(run.join("manifest.json")).unwrap(), manifest);
         let file = run.join(DEMONSTRATIONS);
         let bytes = std::fs::read(&file).unwrap();
         for damaged in [&bytes[..bytes.len() - 3], &b"nothing"[..], &[]] {

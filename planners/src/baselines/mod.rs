@@ -15,14 +15,15 @@ pub use nearest::{Choice, Nearest, NearestOptions};
 pub use random::Random;
 pub use replay::{Replay, ReplayOptions};
 
+use crate::config::MOST;
 use crate::error::PlannerError;
 
-/// Refuses a count of 0.
-fn at_least_1(name: &'static str, found: usize) -> Result<(), PlannerError> {
-    if found > 0 {
+/// Refuses a count of 0, and one that no memory holds.
+fn check_count(name: &'static str, found: usize) -> Result<(), PlannerError> {
+    if (1..=MOST).contains(&found) {
         return Ok(());
     }
-    let expected = "at least 1".to_owned();
+    let expected = format!("1 to {MOST}");
     let found = found.to_string();
     Err(BaselineError::Setting {
         name,

@@ -84,8 +84,8 @@ impl Nearest {
         demonstrations: Arc<Demonstrations>,
         options: NearestOptions,
     ) -> Result<Self, PlannerError> {
-        super::at_least_1("horizon", options.horizon)?;
-        super::at_least_1("n_candidates", options.n_candidates)?;
+        super::check_count("horizon", options.horizon)?;
+        super::check_count("n_candidates", options.n_candidates)?;
         if options.n_candidates > demonstrations.n_steps() {
             return Err(BaselineError::Setting {
                 name: "n_candidates",
@@ -382,7 +382,7 @@ mod tests {
         };
         assert_eq!(
             refused(crossing(), none),
-            "horizon is 0, expected at least 1"
+            "horizon is 0, expected 1 to 65536"
         );
         let mut silent = crossing();
         silent.rewards.clear();

@@ -50,8 +50,8 @@ impl Random {
             }
             .into());
         }
-        super::at_least_1("horizon", horizon)?;
-        super::at_least_1("n_candidates", n_candidates)?;
+        super::check_count("horizon", horizon)?;
+        super::check_count("n_candidates", n_candidates)?;
         Ok(Self {
             spec: PlannerSpec {
                 family: Self::FAMILY.to_owned(),
@@ -158,6 +158,6 @@ mod tests {
             assert!(error.contains("action box"), "{error}");
         }
         let error = Random::new(1, [vec![0.0], vec![1.0]], 0, 1).unwrap_err();
-        assert_eq!(error.to_string(), "horizon is 0, expected at least 1");
+        assert_eq!(error.to_string(), "horizon is 0, expected 1 to 65536");
     }
 }

@@ -67,8 +67,8 @@ impl Replay {
         demonstrations: Arc<Demonstrations>,
         options: ReplayOptions,
     ) -> Result<Self, PlannerError> {
-        super::at_least_1("horizon", options.horizon)?;
-        super::at_least_1("stride", options.stride)?;
+        super::check_count("horizon", options.horizon)?;
+        super::check_count("stride", options.stride)?;
         let width = demonstrations.observation_dim;
         let all =
             Matrix::from_f64(&demonstrations.observations, width).map_err(BaselineError::from)?;

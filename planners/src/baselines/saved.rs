@@ -13,11 +13,11 @@ use serde::{Deserialize, Serialize};
 use super::demonstrations::Demonstrations;
 use crate::error::PlannerError;
 use crate::family::{TrainRequest, TrainSummary};
+use crate::run_folder::{DEMONSTRATIONS, refuse_leftovers};
 use crate::tensor_file::write_atomically;
 
 /// Names of the files in a run folder.
 const MANIFEST: &str = "manifest.json";
-pub(super) const DEMONSTRATIONS: &str = "demonstrations.safetensors";
 /// Version of the format.
 const FORMAT: u32 = 1;
 /// Key of the dataset's id in the metadata of the tensors.
@@ -87,8 +87,61 @@ impl<T: DeserializeOwned> Manifest<T> {
     }
 }
 
+/// Refuses a folder with another run before anything is read for it.
+pub(super) fn check_folder<T: Serialize + DeserializeOwned>(
+    family: &str,
+    request: &TrainRequest,
+    run: &Path,
+) -> Result<Option<Manifest<T>>, PlannerError> {
+    let path = run.join(MANIFEST);
+    let mismatch = |what: &str, expected: &str, found: String| PlannerError::Mismatch {
+        path: path.clone(),
+        what: what.to_owned(),
+        expected: expected.to_owned(),
+        found,
+    };
+    match (path.exists(), request.resume) {
+        (false, false) => refuse_leftovers(run).map(|()| None),
+        (false, true) => Err(mismatch(
+            "the run to go on with",
+            "a manifest",
+            "missing".to_owned(),
+        )),
+        (true, false) => {
+            let found = format!("a run of {}", crate::family_of(run)?);
+            Err(mismatch("the folder", "no run", found))
+        }
+        (true, true) => Manifest::read(run, family).map(Some),
+    }
+}
+
+impl<T: Serialize> Manifest<T> {
+    /// Whether a run is the one that was asked for.
+    fn check_same(&self, asked: &Manifest<&T>, run: &Path) -> Result<(), PlannerError> {
+        let config = |config: &T| serde_json::to_string(config).unwrap_or_default();
+        let pairs = [
+            ("the seed", self.seed.to_string(), asked.seed.to_string()),
+            ("the settings", config(&self.config), config(asked.config)),
+            (
+                "the dataset",
+                self.dataset.fingerprint.clone(),
+                asked.dataset.fingerprint.clone(),
+            ),
+        ];
+        match pairs.into_iter().find(|(_, found, asked)| found != asked) {
+            None => Ok(()),
+            Some((what, found, asked)) => Err(PlannerError::Mismatch {
+                path: run.join(MANIFEST),
+                what: format!("{what} of the run"),
+                expected: format!("{asked} as asked for"),
+                found,
+            }),
+        }
+    }
+}
+
 /// Writes a run, the manifest last: a folder without one is no run.
-pub(super) fn write<T: Serialize>(
+pub(super) fn write<T: Serialize + DeserializeOwned>(
     family: &str,
     request: &TrainRequest,
     config: &T,
@@ -96,24 +149,8 @@ pub(super) fn write<T: Serialize>(
     run: &Path,
     keeps_demonstrations: bool,
 ) -> Result<TrainSummary, PlannerError> {
+    let begun = check_folder::<T>(family, request, run)?;
     let path = run.join(MANIFEST);
-    if path.exists() && !request.resume {
-        let found = crate::family_of(run)?;
-        return Err(PlannerError::Mismatch {
-            path,
-            what: "the folder".to_owned(),
-            expected: "no run".to_owned(),
-            found: format!("a run of {found}"),
-        });
-    }
-    fs::create_dir_all(run).map_err(|source| PlannerError::File {
-        path: run.to_owned(),
-        action: "create",
-        source,
-    })?;
-    if keeps_demonstrations {
-        keep(demonstrations, &run.join(DEMONSTRATIONS))?;
-    }
     let manifest = Manifest {
         format: FORMAT,
         family: family.to_owned(),
@@ -133,6 +170,17 @@ pub(super) fn write<T: Serialize>(
             version: env!("CARGO_PKG_VERSION").to_owned(),
         },
     };
+    if let Some(begun) = begun {
+        begun.check_same(&manifest, run)?;
+    }
+    fs::create_dir_all(run).map_err(|source| PlannerError::File {
+        path: run.to_owned(),
+        action: "create",
+        source,
+    })?;
+    if keeps_demonstrations {
+        keep(demonstrations, &run.join(DEMONSTRATIONS))?;
+    }
     let json = serde_json::to_string_pretty(&manifest).map_err(|source| PlannerError::Json {
         path: path.clone(),
         source,

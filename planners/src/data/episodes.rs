@@ -2,7 +2,7 @@
 
 use blake3::Hasher;
 use ksim_datasets::{
-    DatasetSource, ObservationLayout, TransitionOptions, TransitionReader, Transitions,
+    DatasetInfo, DatasetSource, ObservationLayout, TransitionOptions, TransitionReader, Transitions,
 };
 
 use crate::error::PlannerError;
@@ -113,18 +113,20 @@ impl Episodes {
                 span.truncated = flag(&batch.truncated, row);
             }
         }
+        // What is finite as f64 only would be infinite in training.
+        let is_wrong = |value: &f64| !(*value as f32).is_finite();
         for (what, values) in [
             ("an observation", &batch.states),
             ("an action", &batch.actions),
             ("a reward", &rewards),
         ] {
-            if let Some(at) = values.iter().position(|value| !value.is_finite()) {
+            if let Some(at) = values.iter().position(is_wrong) {
                 let row = at / (values.len() / rewards.len());
                 return Err(PlannerError::DatasetFit {
                     what,
                     expected: "finite numbers".to_owned(),
                     found: format!(
-                        "{} in episode {}, step {}",
+                        "{:?} in episode {}, step {}",
                         values[at], batch.episode_index[row], batch.step_index[row]
                     ),
                 });
@@ -173,6 +175,11 @@ impl Episodes {
         }
         hasher.finalize().to_hex().to_string()
     }
+}
+
+/// Whether observations of a dataset contain a goal, as a maze's do.
+pub(crate) fn has_goal(info: &DatasetInfo) -> bool {
+    goal_order(&ObservationLayout::new(&info.observation)).is_some()
 }
 
 /// Columns of a goal-conditioned maze's state in the reference's order; `None` for other observations.

@@ -6,7 +6,7 @@ mod normalizer;
 mod windows;
 
 pub use batches::Batches;
-pub(crate) use episodes::goal_order;
 pub use episodes::{EpisodeSpan, Episodes};
+pub(crate) use episodes::{goal_order, has_goal};
 pub use normalizer::Normalizer;
 pub use windows::{Subset, Windows};

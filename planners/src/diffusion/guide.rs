@@ -105,6 +105,15 @@ impl Guide {
         Ok(GuideScore { log_p, novelty })
     }
 
+    /// Windows come in groups, see [`Network::in_groups_of`].
+    pub fn in_groups_of(&mut self, n: usize) {
+        self.reward.in_groups_of(n);
+        if let Some(curiosity) = &mut self.curiosity {
+            curiosity.predictor.in_groups_of(n);
+            curiosity.target.in_groups_of(n);
+        }
+    }
+
     /// Whether all its networks compute on rayon's threads.
     pub(super) fn on_rayon(&self) -> bool {
         let curiosity = self.curiosity.as_ref();

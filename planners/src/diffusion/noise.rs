@@ -1,5 +1,6 @@
 //! Where the noise of a plan comes from.
 
+use crate::config::MOST;
 use crate::rng::{Purpose, Rng};
 
 /// Draws noise for all candidates of a batch.
@@ -38,15 +39,23 @@ pub struct SeededNoise {
 }
 
 /// Candidates of a plan that have streams of their own.
-const MAX_CANDIDATES: u64 = 1 << 16;
+const MAX_CANDIDATES: u64 = MOST as u64;
 
 impl SeededNoise {
     /// `n_candidates` for each plan, given by the seed of its episode and its number in the episode.
     pub fn new(plans: impl Iterator<Item = (u64, u64)>, n_candidates: usize) -> Self {
+        Self::of(Purpose::Plan, plans, n_candidates)
+    }
+
+    /// As [`SeededNoise::new`], from the streams of another purpose.
+    pub(crate) fn of(
+        purpose: Purpose,
+        plans: impl Iterator<Item = (u64, u64)>,
+        n_candidates: usize,
+    ) -> Self {
         let streams = plans.flat_map(|(seed, plan)| {
             let first = plan.wrapping_mul(MAX_CANDIDATES);
-            (0..n_candidates as u64)
-                .map(move |at| Rng::new(seed, Purpose::Plan, first.wrapping_add(at)))
+            (0..n_candidates as u64).map(move |at| Rng::new(seed, purpose, first.wrapping_add(at)))
         });
         Self {
             streams: streams.collect(),

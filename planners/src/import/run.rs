@@ -13,6 +13,7 @@ use super::error::ImportError;
 use super::planner::{Assembled, ReferenceImport, assemble, file_name};
 use crate::error::PlannerError;
 use crate::model::{PLANNER_FILE, PlannerMeta};
+use crate::run_folder::refuse_leftovers;
 use crate::tensor_file::write_atomically;
 use crate::training::{MANIFEST_FILE, MANIFEST_FORMAT, Program};
 
@@ -63,13 +64,10 @@ pub fn import_run(
 ) -> Result<PlannerMeta, PlannerError> {
     let path = run.join(MANIFEST_FILE);
     if path.exists() {
-        return Err(PlannerError::Mismatch {
-            path: run.to_owned(),
-            what: "the run folder".to_owned(),
-            expected: "empty".to_owned(),
-            found: "the folder of another run".to_owned(),
-        });
+        let found = "the folder of another run".to_owned();
+        return Err(PlannerError::occupied(run, "empty", found));
     }
+    refuse_leftovers(run)?;
     let Assembled {
         planner,
         episodes,

@@ -18,8 +18,11 @@ pub(super) struct Model<'a> {
     pub(super) plan: &'a Plan,
     pub(super) parameters: &'a [f32],
     pub(super) prepared: &'a Prepared,
-    /// Layers for Winograd are computed by it. Otherwise there are few windows, and the way back
-    /// through some layers takes the weights of the way forward.
+    /// Windows in a group: it, not the chunk, decides how layers are computed, so that neither the groups beside it
+    /// nor threads change a number.
+    pub(super) group: usize,
+    /// Layers for Winograd are computed by it. Otherwise groups are small, and the way back through some layers takes
+    /// the weights of the way forward.
     pub(super) winograd: bool,
     /// Weights are read in half the bytes, except by Winograd.
     pub(super) halves: bool,
@@ -370,7 +373,7 @@ impl<'a> Model<'a> {
                 zeros: self.zeros,
             }
             .write(room, output),
-            _ if !self.winograd && shared::pays(layer, samples) => Shared {
+            _ if !self.winograd && shared::pays(layer, self.group) => Shared {
                 gradient: input,
                 length: layer.output_length(),
                 samples,

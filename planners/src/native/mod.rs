@@ -3,8 +3,8 @@
 //! Samples go through a network in chunks, which are what threads share out. In a chunk activations lie as
 //! `[position][sample][channel]`: see module `product`. Every number is summed in an order that depends neither on the
 //! samples beside it nor on the number of threads, and gradients by weights are added chunk by chunk. Only whether a
-//! call has fewer than four windows makes a difference, in the last digits: see module `winograd`. Such a call may read
-//! its weights as bf16: see module `panels`.
+//! group of windows (a call, or see [`Network::in_groups_of`]) has fewer than four makes a difference, in the last
+//! digits: see module `winograd`. Such a group may read its weights as bf16: see module `panels`.
 
 mod adam;
 mod aligned;
@@ -42,8 +42,8 @@ impl NativeBackend {
         Self::default()
     }
 
-    /// With [`Precision::Bf16`], fewer than four windows at a time are computed with weights that are rounded to
-    /// bf16 and read in half the time; sums, more windows and trainings stay f32.
+    /// With [`Precision::Bf16`], groups of fewer than four windows are computed with weights that are rounded to
+    /// bf16 and read in half the time; sums, larger groups and trainings stay f32.
     pub fn with_precision(precision: Precision) -> Self {
         Self { precision }
     }

@@ -26,8 +26,10 @@ pub(super) struct NativeNetwork {
     architecture: Architecture,
     pub(super) plan: Plan,
     pub(super) parameters: Aligned,
-    /// Fewer windows than Winograd takes are computed with weights in half the bytes.
+    /// Smaller groups of windows than Winograd takes are computed with weights in half the bytes.
     halves: bool,
+    /// Windows of a group, whose size decides how all of a call are computed; without one a call is a group.
+    group: Option<usize>,
     prepared: Prepared,
     zeros: Vec<f32>,
     pub(super) chunks: Vec<Chunk>,
@@ -43,6 +45,8 @@ pub(super) struct NativeNetwork {
 pub(super) struct Kept {
     pub(super) keep: Keep,
     pub(super) samples: usize,
+    /// Samples in a group.
+    group: usize,
     /// Samples in a chunk.
     pub(super) chunk: usize,
 }
@@ -67,6 +71,7 @@ impl NativeNetwork {
             plan,
             parameters,
             halves,
+            group: None,
             prepared: Prepared::default(),
             chunks: Vec::new(),
             time_chunk: Chunk::default(),
@@ -127,7 +132,8 @@ impl NativeNetwork {
             }
             _ => None,
         };
-        let winograd = t.len() >= LEAST_SAMPLES;
+        let group = self.group.unwrap_or(t.len());
+        let winograd = group >= LEAST_SAMPLES;
         let halves = self.halves && !winograd;
         let (plan, back) = (&self.plan, keep != Keep::Nothing);
         self.prepared.need(plan, &self.parameters, back, winograd);
@@ -138,6 +144,7 @@ impl NativeNetwork {
             plan,
             parameters: &self.parameters,
             prepared: &self.prepared,
+            group,
             winograd,
             halves,
             zeros: &self.zeros,
@@ -168,6 +175,7 @@ impl NativeNetwork {
         self.kept = (keep != Keep::Nothing).then_some(Kept {
             keep,
             samples: t.len(),
+            group,
             chunk: size,
         });
         Ok(())
@@ -185,6 +193,7 @@ impl NativeNetwork {
             plan: &self.plan,
             parameters: &self.parameters,
             prepared: &self.prepared,
+            group: 1,
             winograd: false,
             halves: false,
             zeros: &self.zeros,
@@ -210,8 +219,9 @@ impl NativeNetwork {
             plan: &self.plan,
             parameters: &self.parameters,
             prepared: &self.prepared,
-            winograd: kept.samples >= LEAST_SAMPLES,
-            halves: self.halves && kept.samples < LEAST_SAMPLES,
+            group: kept.group,
+            winograd: kept.group >= LEAST_SAMPLES,
+            halves: self.halves && kept.group < LEAST_SAMPLES,
             zeros: &self.zeros,
         };
         let n_chunks = kept.samples.div_ceil(kept.chunk);
@@ -267,6 +277,10 @@ impl Network for NativeNetwork {
 
     fn on_rayon(&self) -> bool {
         true
+    }
+
+    fn in_groups_of(&mut self, n: usize) {
+        self.group = Some(n);
     }
 
     fn forward(

@@ -18,13 +18,13 @@ const LEAST_WEIGHTS: usize = 1 << 16;
 /// Numbers of the result, for all inputs at a time, whose lanes stay in the first cache.
 const BLOCK: usize = 512;
 
-/// Rows of the gradient that are held in registers. For more of them the product with a copy of the weights, whose
-/// sums stay in registers, is faster.
+/// Rows of the gradient that are held in registers. For a group with more of them the product with a copy of the
+/// weights, whose sums stay in registers, is faster. A row's sums do not depend on the rows beside it.
 const ROWS: usize = 4;
 
-/// Whether a layer is computed this way.
-pub(super) fn pays(layer: &Layer, samples: usize) -> bool {
-    layer.n_weights() >= LEAST_WEIGHTS && layer.length * samples <= ROWS
+/// Whether a layer is computed this way for groups of so many windows.
+pub(super) fn pays(layer: &Layer, group: usize) -> bool {
+    layer.n_weights() >= LEAST_WEIGHTS && layer.length * group <= ROWS
 }
 
 /// The gradient by a layer's input, from the gradient by its output.

@@ -173,14 +173,14 @@ impl TrainableNetwork for NativeTraining {
         Ok(())
     }
 
-    fn state(&self) -> TrainingState {
+    fn state(&self) -> Result<TrainingState, PlannerError> {
         let plan = &self.network.plan;
-        TrainingState {
+        Ok(TrainingState {
             weights: scatter(plan, &self.network.parameters),
             ema: scatter(plan, &self.ema),
             first_moment: scatter(plan, &self.first_moment),
             second_moment: scatter(plan, &self.second_moment),
             n_updates: self.n_updates,
-        }
+        })
     }
 }

@@ -27,7 +27,7 @@ const TILE: usize = 4;
 /// Fewer channels than these are not worth the transformations.
 const LEAST_CHANNELS: usize = 64;
 
-/// A call of fewer windows is computed directly: it is bound by reading the weights, of which there are more here.
+/// A group of fewer windows is computed directly: it is bound by reading the weights, of which there are more here.
 pub(super) const LEAST_SAMPLES: usize = 4;
 
 /// Numbers of both transformed arrays that stay in the cache.

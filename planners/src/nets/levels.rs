@@ -19,6 +19,9 @@ fn channels(model_dim: usize, dim_mult: &[usize]) -> Vec<usize> {
         .collect()
 }
 
+/// The most numbers in all tensors of a network: a gigabyte, of which a training holds several.
+const MOST_PARAMETERS: usize = 1 << 28;
+
 /// The most channels, window steps or numbers that a network may have in one place: enough for any that can be
 /// trained, and little enough that no product of two overflows.
 const LARGEST: usize = 1 << 20;
@@ -215,9 +218,24 @@ impl Architecture {
     /// Names the setting.
     pub fn validate(&self) -> Result<(), PlannerError> {
         match self {
-            Self::Janner(config) => config.validate(),
-            Self::HalfJanner(config) => config.validate(),
-            Self::Mlp(config) => config.validate(),
+            Self::Janner(config) => config.validate()?,
+            Self::HalfJanner(config) => config.validate()?,
+            Self::Mlp(config) => config.validate()?,
         }
+        let numbers = |shape: &[usize]| {
+            shape
+                .iter()
+                .fold(1, |n: usize, size| n.saturating_mul(*size))
+        };
+        let specs = self.specs();
+        let total = specs
+            .iter()
+            .fold(0, |n: usize, spec| n.saturating_add(numbers(&spec.shape)));
+        check(
+            total <= MOST_PARAMETERS,
+            "the number of parameters of a network",
+            "at most 268435456",
+            total,
+        )
     }
 }

@@ -52,6 +52,10 @@ pub trait Network: Send {
         gradient: &mut [f32],
     ) -> Result<(), PlannerError>;
 
+    /// From now on a call's windows come in groups of `n`, such as the candidates of an environment. Backend native then
+    /// computes each group as it would alone, to the last bit; without groups a call is one.
+    fn in_groups_of(&mut self, _n: usize) {}
+
     /// Whether it computes on rayon's threads, so that it pays to ask several networks at a time.
     fn on_rayon(&self) -> bool {
         false
@@ -74,7 +78,10 @@ pub trait TrainableNetwork: Network {
     fn update(&mut self, adam: &Adam, learning_rate: f64) -> Result<(), PlannerError>;
 
     /// Weights, their moving average, and the optimizer's moments, to save and to go on from.
-    fn state(&self) -> TrainingState;
+    ///
+    /// # Errors
+    /// The device does not give them.
+    fn state(&self) -> Result<TrainingState, PlannerError>;
 }
 
 /// How a network is updated (Kingma and Ba 2015; decoupled decay: Loshchilov and Hutter 2019).
@@ -110,6 +117,21 @@ pub struct TrainingState {
 }
 
 impl TrainingState {
+    /// The first number that is not finite, with its place: a network that has diverged.
+    pub fn not_finite(&self) -> Option<String> {
+        let parts = [
+            ("weights", &self.weights),
+            ("average", &self.ema),
+            ("first moment", &self.first_moment),
+            ("second moment", &self.second_moment),
+        ];
+        parts.into_iter().find_map(|(part, weights)| {
+            let is_finite = |tensor: &Tensor| tensor.values.iter().all(|value| value.is_finite());
+            let wrong = weights.tensors.iter().find(|(_, one)| !is_finite(one));
+            wrong.map(|(name, _)| format!("tensor \"{name}\" of the {part}"))
+        })
+    }
+
     /// The state before the first update.
     pub fn new(weights: Weights) -> Self {
         Self {

@@ -164,11 +164,16 @@ impl Architecture {
     /// As [`Architecture::validate`].
     pub fn tensors(&self) -> Result<Vec<TensorSpec>, PlannerError> {
         self.validate()?;
-        Ok(match self {
+        Ok(self.specs())
+    }
+
+    /// Its tensors, if its sizes are possible.
+    pub(super) fn specs(&self) -> Vec<TensorSpec> {
+        match self {
             Self::Janner(config) => config.tensors(),
             Self::HalfJanner(config) => config.tensors(),
             Self::Mlp(config) => config.tensors(),
-        })
+        }
     }
 
     /// Refuses weights that are not this network's: a tensor that is missing, has another shape, is not known, or

@@ -65,16 +65,10 @@ impl TorchTrainable {
         shaped.collect()
     }
 
-    fn unflatten(&self, flat: &Tensor) -> Weights {
+    fn unflatten(&self, flat: &Tensor) -> Result<Weights, PlannerError> {
         let mut values = vec![0.0; flat.numel()];
-        // Copying out of memory that is there fails only where the device is lost: numbers that tell so.
-        if self
-            .session
-            .run(|| self.session.read(&flat.f_detach()?, &mut values))
-            .is_err()
-        {
-            values.fill(f32::NAN);
-        }
+        self.session
+            .run(|| self.session.read(&flat.f_detach()?, &mut values))?;
         let mut weights = Weights::default();
         let mut rest = values.as_slice();
         for spec in self.model.specs() {
@@ -86,7 +80,7 @@ impl TorchTrainable {
             };
             weights.tensors.insert(spec.name.clone(), tensor);
         }
-        weights
+        Ok(weights)
     }
 }
 
@@ -161,13 +155,13 @@ impl TrainableNetwork for TorchTrainable {
         Ok(())
     }
 
-    fn state(&self) -> TrainingState {
-        TrainingState {
-            weights: self.unflatten(&self.parameters.weights),
-            ema: self.unflatten(&self.parameters.ema),
-            first_moment: self.unflatten(&self.parameters.first_moment),
-            second_moment: self.unflatten(&self.parameters.second_moment),
+    fn state(&self) -> Result<TrainingState, PlannerError> {
+        Ok(TrainingState {
+            weights: self.unflatten(&self.parameters.weights)?,
+            ema: self.unflatten(&self.parameters.ema)?,
+            first_moment: self.unflatten(&self.parameters.first_moment)?,
+            second_moment: self.unflatten(&self.parameters.second_moment)?,
             n_updates: self.n_updates,
-        }
+        })
     }
 }

@@ -6,6 +6,7 @@ use crate::config::{ConfidenceConfig, ConfidenceRule};
 use crate::data::{Batches, Subset};
 use crate::diffusion::novelty_loss;
 use crate::error::PlannerError;
+use crate::family::TrainObserver;
 use crate::model::network::{CONFIDENCE_PREDICTOR, CONFIDENCE_TARGET};
 use crate::nets::Network;
 use crate::rng::{Purpose, Rng};
@@ -31,10 +32,12 @@ enum Source {
 }
 
 impl<'a> ConfidencePhase<'a> {
+    /// `None` if the observer stops the generation of plans.
     pub(crate) fn new(
         setting: &mut Setting<'_>,
         config: &'a ConfidenceConfig,
-    ) -> Result<Self, PlannerError> {
+        observer: &mut dyn TrainObserver,
+    ) -> Result<Option<Self>, PlannerError> {
         let (horizon, width) = (setting.config.data.horizon, setting.windows.width());
         let [predictor, target] =
             config.networks(horizon, width, setting.windows.observation_dim());
@@ -47,16 +50,19 @@ impl<'a> ConfidencePhase<'a> {
         let target = setting.fixed(CONFIDENCE_TARGET, &target)?;
         let source = match config.rule {
             ConfidenceRule::Windows => Source::Windows(Self::batches(setting, config)?),
-            ConfidenceRule::Plans => Source::Plans(plans::generate(setting, config)?),
+            ConfidenceRule::Plans => match plans::generate(setting, config, observer)? {
+                Some(plans) => Source::Plans(plans),
+                None => return Ok(None),
+            },
         };
-        Ok(Self {
+        Ok(Some(Self {
             config,
             source,
             predictor,
             target,
             x: vec![0.0; config.batch_size * in_dim],
             values: vec![0.0; config.batch_size],
-        })
+        }))
     }
 
     /// The batches of [`ConfidenceRule::Windows`], which need enough windows.

@@ -2,7 +2,6 @@
 
 use super::learner::{Learner, Rate};
 use super::setting::{Done, Phase, Setting};
-use crate::config::{Mode, RewardRule};
 use crate::data::{Batches, Subset};
 use crate::diffusion::{DiffusionLoss, value_loss};
 use crate::error::PlannerError;
@@ -94,11 +93,9 @@ impl DiffusionPhase {
     fn update_reward(&mut self, setting: &Setting<'_>, number: u64) -> Result<Done, PlannerError> {
         let config = setting.config;
         let noised = setting.noise(&self.x0, self.values.len(), Purpose::RewardNoise, number)?;
-        // Minari's values come without the last axis, D4RL's with it: only the former broadcast in the reference.
-        let broadcast = config.mode == Mode::Reference && config.data.rule == RewardRule::Goal;
         let values = &self.values;
         let update = self.reward.update(&noised.x, &noised.t, |out, gradient| {
-            value_loss(out, values, broadcast, gradient)
+            value_loss(out, values, config.broadcasts_values(), gradient)
         })?;
         let last = number + config.reward.interval >= config.diffusion.n_updates;
         Ok(Done::new(&self.reward, update, last))

@@ -54,7 +54,7 @@ impl History {
         });
         let row = &mut self.open[place];
         row.update = number;
-        row.n += 1;
+        row.n = row.n.saturating_add(1);
         row.loss += update.loss;
         row.gradient_norm += update.gradient_norm;
         row.learning_rate = update.learning_rate;

@@ -140,7 +140,10 @@ impl Learner {
     }
 
     /// Everything to go on from.
-    pub fn state(&self) -> TrainingState {
+    ///
+    /// # Errors
+    /// The device does not give it.
+    pub fn state(&self) -> Result<TrainingState, PlannerError> {
         self.network.state()
     }
 

@@ -15,6 +15,8 @@ mod run;
 mod session;
 mod setting;
 
+pub(crate) use checkpoint::CHECKPOINT_FILE;
+pub(crate) use history::HISTORY_FILE;
 pub use learner::{Learner, Rate, Update, cosine_rate};
 pub(crate) use manifest::{MANIFEST_FILE, MANIFEST_FORMAT, Program};
 pub(crate) use run::{TrainedFamily, train};

@@ -5,13 +5,14 @@ use std::path::Path;
 
 use ksim_datasets::DatasetSource;
 
+use super::begin::check_folder;
 use super::checkpoint::Checkpoint;
 use super::manifest::{DatasetEntry, Manifest};
 use super::session::{Session, kinds};
 use super::setting::Setting;
 use crate::backend::{self, BackendOptions};
 use crate::config::{Config, Mode, RewardRule};
-use crate::data::{Episodes, Windows};
+use crate::data::{Episodes, Windows, has_goal};
 use crate::diffusion::Schedule;
 use crate::error::PlannerError;
 use crate::family::{TrainObserver, TrainRequest, TrainSummary};
@@ -32,11 +33,11 @@ pub(crate) fn train(
     run: &Path,
     observer: &mut dyn TrainObserver,
 ) -> Result<TrainSummary, PlannerError> {
-    let episodes = Episodes::read(data)?;
+    // What needs no data comes first: a dataset takes minutes to read.
     let preset = request
         .preset
         .as_deref()
-        .unwrap_or_else(|| default_preset(episodes.has_goal));
+        .unwrap_or_else(|| default_preset(has_goal(data.info())));
     let Some(config) = (family.config)(preset) else {
         return Err(PlannerError::UnknownPreset {
             family: family.id,
@@ -45,6 +46,10 @@ pub(crate) fn train(
         });
     };
     let config = config.with_overrides(&request.overrides)?;
+    let backend = backend::open(&BackendOptions::of_training(request))?;
+    let asked = |dataset| Manifest::new(family.id, preset, &config, request.seed, dataset);
+    let found = check_folder(request, run, asked)?;
+    let episodes = Episodes::read(data)?;
     check_rewards(&episodes, &config)?;
     let windows = Windows::new(&episodes, &config.data, config.mode)?;
     if windows.n_short() > 0 {
@@ -55,18 +60,15 @@ pub(crate) fn train(
         ));
     }
     let dataset = DatasetEntry::new(data.info(), &episodes, &windows);
-    let mut manifest = Manifest::new(family.id, preset, &config, request.seed, dataset);
-    let backend = backend::open(&BackendOptions::of_training(request))?;
+    let mut manifest = asked(dataset);
     manifest.backend = backend.name().to_owned();
     let (value_mean, value_std) = value_unit(&windows, &config);
+    let values = (value_mean, value_std);
+    let meta = meta(family.id, &config, &episodes, &manifest, values);
+    // Windows hold what training takes of them.
+    drop(episodes);
     let mut session = Session {
-        meta: meta(
-            family.id,
-            &config,
-            &episodes,
-            &manifest,
-            (value_mean, value_std),
-        ),
+        meta,
         setting: Setting {
             config: &config,
             windows: &windows,
@@ -86,7 +88,7 @@ pub(crate) fn train(
         manifest,
     };
     session.check()?;
-    session.begin(request)?;
+    session.begin(found)?;
     session.train(observer)
 }
 

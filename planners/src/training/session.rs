@@ -13,7 +13,8 @@ use super::setting::{Phase, Setting};
 use crate::config::Config;
 use crate::error::PlannerError;
 use crate::family::{TrainControl, TrainObserver, TrainProgress, TrainSummary};
-use crate::model::{PLANNER_FILE, PlannerFile, PlannerMeta};
+use crate::model::{PLANNER_FILE, PlannerFile, PlannerMeta, network};
+use crate::nets::TrainingState;
 
 /// Which phase.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,22 +35,47 @@ pub(super) struct Session<'a> {
     pub(super) manifest: Manifest,
 }
 
+impl Kind {
+    /// Names of the networks that a phase trains, and of those that it draws.
+    pub(super) fn networks(self) -> (&'static [&'static str], &'static [&'static str]) {
+        match self {
+            Self::Diffusion => (&[network::DIFFUSION, network::REWARD], &[]),
+            Self::Curiosity => (
+                &[network::CURIOSITY_PREDICTOR],
+                &[network::CURIOSITY_TARGET],
+            ),
+            Self::Confidence => (
+                &[network::CONFIDENCE_PREDICTOR],
+                &[network::CONFIDENCE_TARGET],
+            ),
+        }
+    }
+}
+
 impl<'a> Session<'a> {
-    fn open(&mut self, kind: Kind) -> Result<Box<dyn Phase + 'a>, PlannerError> {
+    /// The phase; `None` if the observer stops what it prepares.
+    fn open(
+        &mut self,
+        kind: Kind,
+        observer: &mut dyn TrainObserver,
+    ) -> Result<Option<Box<dyn Phase + 'a>>, PlannerError> {
         let config = self.setting.config;
-        Ok(match (kind, &config.curiosity, &config.confidence) {
+        Ok(Some(match (kind, &config.curiosity, &config.confidence) {
             (Kind::Curiosity, Some(curiosity), _) => {
                 Box::new(CuriosityPhase::new(&mut self.setting, curiosity)?)
             }
             (Kind::Confidence, _, Some(confidence)) => {
-                Box::new(ConfidencePhase::new(&mut self.setting, confidence)?)
+                match ConfidencePhase::new(&mut self.setting, confidence, observer)? {
+                    Some(phase) => Box::new(phase),
+                    None => return Ok(None),
+                }
             }
             _ => Box::new(DiffusionPhase::new(&mut self.setting)?),
-        })
+        }))
     }
 
     /// Updates of each phase in all.
-    fn lengths(&self) -> Vec<u64> {
+    pub(super) fn lengths(&self) -> Vec<u64> {
         let config = self.setting.config;
         let length = |kind: &Kind| match kind {
             Kind::Diffusion => config.diffusion.n_updates,
@@ -71,22 +97,28 @@ impl<'a> Session<'a> {
         observer: &mut dyn TrainObserver,
     ) -> Result<TrainSummary, PlannerError> {
         while self.setting.checkpoint.n_phases < self.kinds.len() {
-            let mut phase = self.open(self.kinds[self.setting.checkpoint.n_phases])?;
-            if !self.train_phase(phase.as_mut(), observer)? {
-                return Ok(self.summary());
+            let kind = self.kinds[self.setting.checkpoint.n_phases];
+            let Some(mut phase) = self.open(kind, observer)? else {
+                break;
+            };
+            let control = self.train_phase(phase.as_mut(), observer)?;
+            if self.setting.checkpoint.update == phase.n_updates(&self.setting) {
+                self.close(phase.as_ref())?;
+                self.save(&[], observer)?;
             }
-            self.close(phase.as_ref());
-            self.save(&[], observer)?;
+            if control == TrainControl::Stop {
+                break;
+            }
         }
         Ok(self.summary())
     }
 
-    /// Trains a phase to its end; `false` if the observer stopped it.
+    /// Trains a phase to its end, or until the observer stops it.
     fn train_phase(
         &mut self,
         phase: &mut dyn Phase,
         observer: &mut dyn TrainObserver,
-    ) -> Result<bool, PlannerError> {
+    ) -> Result<TrainControl, PlannerError> {
         let n_updates = phase.n_updates(&self.setting);
         while self.setting.checkpoint.update < n_updates {
             let number = self.setting.checkpoint.update;
@@ -111,33 +143,50 @@ impl<'a> Session<'a> {
                 total_update: self.total_update(),
                 total_updates: self.lengths().iter().sum(),
             });
-            let stop = control == TrainControl::Stop && number + 1 < n_updates;
-            let due = (number + 1).is_multiple_of(self.interval) && number + 1 < n_updates;
-            if stop || due {
+            let stop = control == TrainControl::Stop;
+            // The end of a phase is saved by whoever closes it.
+            if number + 1 < n_updates && (stop || (number + 1).is_multiple_of(self.interval)) {
                 self.save(&phase.learners(), observer)?;
             }
             if stop {
-                return Ok(false);
+                return Ok(TrainControl::Stop);
             }
         }
-        Ok(true)
+        Ok(TrainControl::Continue)
     }
 
     /// Moves the networks of a phase to those that are done.
-    fn close(&mut self, phase: &dyn Phase) {
+    fn close(&mut self, phase: &dyn Phase) -> Result<(), PlannerError> {
+        let states = self.states(&phase.learners())?;
         let checkpoint = &mut self.setting.checkpoint;
-        for learner in phase.learners() {
-            let state = learner.state();
-            checkpoint
-                .finished
-                .insert(learner.name.to_owned(), state.ema);
-            checkpoint
-                .n_updates
-                .insert(learner.name.to_owned(), state.n_updates);
+        for (name, state) in states {
+            checkpoint.n_updates.insert(name.clone(), state.n_updates);
+            checkpoint.finished.insert(name, state.ema);
         }
         checkpoint.learning.clear();
         checkpoint.n_phases += 1;
         checkpoint.update = 0;
+        Ok(())
+    }
+
+    /// The states of networks by name, which must be finite: a last good checkpoint is not replaced by another.
+    fn states(
+        &self,
+        learners: &[&Learner],
+    ) -> Result<BTreeMap<String, TrainingState>, PlannerError> {
+        let mut states = BTreeMap::new();
+        for learner in learners {
+            let state = learner.state()?;
+            if let Some(what) = state.not_finite() {
+                return Err(self.keep(PlannerError::NotFinite {
+                    what: format!("{what} of network \"{}\"", learner.name),
+                    place: format!("after its update {}", state.n_updates),
+                    checkpoint: None,
+                }));
+            }
+            states.insert(learner.name.to_owned(), state);
+        }
+        Ok(states)
     }
 
     /// Writes planner, losses and checkpoint, the checkpoint last.
@@ -146,10 +195,7 @@ impl<'a> Session<'a> {
         learners: &[&Learner],
         observer: &mut dyn TrainObserver,
     ) -> Result<(), PlannerError> {
-        let states = learners
-            .iter()
-            .map(|learner| (learner.name.to_owned(), learner.state()));
-        self.setting.checkpoint.learning = states.collect();
+        self.setting.checkpoint.learning = self.states(learners)?;
         self.write_planner()?;
         self.setting.checkpoint.history.write(self.run)?;
         let path = self.write_checkpoint()?;

@@ -1,3 +1,5 @@
+use std::path::Path;
+
 use super::*;
 use crate::report::{Report, json, markdown};
 
@@ -142,6 +144,62 @@ fn the_report_has_both_accounting_rules_with_intervals() {
 }
 
 #[test]
+fn other_files_and_settings_are_refused_and_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (results, file) = (
+        folder.path().join("results"),
+        folder.path().join("p.safetensors"),
+    );
+    let write = |text: &str| {
+        let text = format!("{{\"__metadata__\":{{\"ksim\":{text:?}}}}}");
+        let mut bytes = (text.len() as u64).to_le_bytes().to_vec();
+        bytes.extend(text.as_bytes());
+        std::fs::write(&file, bytes).unwrap();
+    };
+    // Files are hashed, whatever they are.
+    let player = |suite: &Suite| -> Value {
+        let planner = PlannerEntry {
+            source: Some(file.to_str().unwrap().to_owned()),
+            ..PlannerEntry::default()
+        };
+        let source = planner
+            .source_in(&suite.environments[0], &suite.folder)
+            .unwrap();
+        let player = Player {
+            suite,
+            families: &Registry::builtin(),
+            planner: &planner,
+            source,
+            n_slots: NonZeroUsize::MIN,
+        };
+        let site = Site::new(&suite.environments[0], &mut Watch::default()).unwrap();
+        player.settings(&site, &mut Contents::default()).unwrap()
+    };
+    let mut suite = suite();
+    write("{\"family\":\"diffuser\",\"finished\":true}");
+    let before = player(&suite);
+    assert_eq!(player(&suite), before);
+    write("{\"family\":\"diffuser\",\"finished\":null}");
+    assert_ne!(player(&suite)["run_hash"], before["run_hash"]);
+    assert_eq!(before["version"], env!("CARGO_PKG_VERSION"));
+    suite.planners.truncate(1);
+    played(&suite, &results, 1, &mut Watch::default());
+    let manifest = std::fs::read(results.join("manifest.json")).unwrap();
+    suite.planners[0].candidates = Some(2);
+    let run_dir = RunDir::open(&results).unwrap();
+    let slots = NonZeroUsize::MIN;
+    let error = play(
+        &suite,
+        &Registry::builtin(),
+        &run_dir,
+        slots,
+        &mut Watch::default(),
+    );
+    assert_eq!(error.unwrap_err().to_string(), "drawn in short, run 0");
+    assert!(std::fs::read(results.join("manifest.json")).unwrap() == manifest);
+}
+
+#[test]
 fn a_cell_that_fails_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let run_dir = RunDir::open(folder.path()).unwrap();
@@ -151,6 +209,8 @@ fn a_cell_that_fails_is_named() {
     let slots = NonZeroUsize::MIN;
     let error = play(&suite, &Registry::builtin(), &run_dir, slots, &mut watch).unwrap_err();
     assert_eq!(error.to_string(), "still in short, run 0");
+    // Before anything is played or written.
+    assert!(watch.cells.is_empty() && !folder.path().join("manifest.json").exists());
     suite.planners[1].policy = None;
     suite.planners[1].source = Some("no/such/run".to_owned());
     let error = play(&suite, &Registry::builtin(), &run_dir, slots, &mut watch).unwrap_err();

@@ -243,6 +243,16 @@ impl TrainObserver for Watcher<'_> {
         }
     }
 
+    fn preparing(&mut self, what: &str, done: u64, of: u64) -> TrainControl {
+        if let Some(bar) = &self.progress {
+            bar.say(format!("{}: {what}, {done} of {of}", self.planner));
+        }
+        match atomic::is_interrupted() {
+            true => TrainControl::Stop,
+            false => TrainControl::Continue,
+        }
+    }
+
     fn checkpoint(&mut self, _path: &Path, total_update: u64) {
         // A log that somebody reads later; on a terminal the line above says more.
         if !self.is_terminal {

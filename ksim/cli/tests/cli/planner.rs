@@ -198,6 +198,23 @@ fn faults_name_what_is_wrong() {
         .failed(1, &["no/such/run", "manifest.json"]);
     toy.rollout("random", &["--curiosity", "1"])
         .failed(1, &["no weight of curiosity"]);
+    toy.rollout("random", &["--precision", "bf16"])
+        .failed(1, &["no precision"]);
+    toy.rollout("random", &["--candidates", "4294967295"])
+        .failed(1, &["n_candidates is 4294967295, expected 1 to 65536"]);
+    for flag in ["--curiosity", "--warm-start", "--planner-timeout"] {
+        let policy = [
+            "rollout",
+            "--env",
+            "PointMass-v0",
+            "--policy",
+            "random",
+            "--episodes",
+            "1",
+        ];
+        let message = format!("{flag} is for --planner");
+        ksim([&policy[..], &[flag, "1"]].concat()).failed(2, &[&message]);
+    }
     toy.rollout("random", &["--policy", "zero"])
         .failed(2, &["--policy"]);
     toy.rollout("random", &["--guidance", "-1"])
@@ -212,6 +229,8 @@ fn faults_name_what_is_wrong() {
     train("nobody", &[]).failed(1, &["no planner \"nobody\"", "nearest"]);
     train("nearest", &["--preset", "paper"]).failed(1, &["no preset \"paper\"", "default"]);
     train("nearest", &["--set", "horizn=3"]).failed(1, &["no setting \"horizn\"", "horizon"]);
+    train("nearest", &["--base", &data]).failed(1, &["the base is", "no network"]);
+    train("nearest", &["--resume"]).failed(1, &["the run to go on with is missing"]);
     train("nearest", &["--set", "horizon"]).failed(2, &["KEY=VALUE"]);
     assert!(!Path::new(&toy.at("new")).exists());
 }
@@ -313,4 +332,50 @@ fn a_benchmark_does_not_mix_settings() {
     let wrong = toy.suite("candidats = 3\n");
     bench(&wrong).failed(1, &["suite.toml", "unknown field `candidats`"]);
     bench(&toy.at("none.toml")).failed(1, &["none.toml"]);
+}
+
+#[test]
+fn a_planner_that_is_not_finished_plays_and_says_so() {
+    let toy = Toy::new();
+    let (data, run, out) = (toy.at("data.parquet"), toy.at("run"), toy.at("results"));
+    let train = ["train", "diffuser", "--dataset", &data, "-o", &run];
+    let trained = ksim([&train[..], &["--preset", "smoke"]].concat());
+    assert_eq!(trained.code, 0, "{}", trained.stderr);
+    let file = toy.at("run/planner.safetensors");
+    let played = toy.rollout(&file, &["--format", "json"]);
+    assert!(!played.stderr.contains("not finished"), "{}", played.stderr);
+    assert_eq!(played.json()["planner"]["finished"], true);
+    let bytes = std::fs::read(&file).expect("it is there");
+    let (header, tensors) = bytes[8..].split_at(header_len(&bytes));
+    let header = std::str::from_utf8(header).expect("JSON");
+    let mut header = header.replace(r#"finished\":true"#, r#"finished\":false"#);
+    header += &" ".repeat(header.len().next_multiple_of(8) - header.len());
+    let length = (header.len() as u64).to_le_bytes();
+    let edited = [&length[..], header.as_bytes(), tensors].concat();
+    std::fs::write(&file, edited).expect("it is written");
+    let played = toy.rollout(&run, &["--format", "json"]);
+    assert!(
+        played.stderr.contains("is not finished"),
+        "{}",
+        played.stderr
+    );
+    assert_eq!(played.json()["planner"]["finished"], false);
+    let suite = toy.suite(&format!(
+        "\n[[planner]]\nname = \"early\"\nsource = {run:?}\n"
+    ));
+    let bench = ksim(["bench", "planners", &suite, "-o", &out]);
+    assert!(bench.stderr.contains("is not finished"), "{}", bench.stderr);
+    let note = "**The training of early in mass is not finished.**";
+    assert!(bench.stdout.contains(note), "{}", bench.stdout);
+    // A Diffuser has no curiosity: nothing is played.
+    let lambda = ["bench", "lambda", &run, "--env", "PointMass-v0", "-o"];
+    let empty = toy.at("lambda");
+    ksim([&lambda[..], &[&empty, "--lambdas", "0,1"]].concat())
+        .failed(1, &["λ=1", "which has no curiosity"]);
+    assert!(!Path::new(&toy.at("lambda/manifest.json")).exists());
+}
+
+/// Length of the header of a safetensors file.
+fn header_len(bytes: &[u8]) -> usize {
+    u64::from_le_bytes(bytes[..8].try_into().expect("8 bytes")) as usize
 }

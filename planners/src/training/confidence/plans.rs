@@ -3,16 +3,19 @@
 use crate::config::ConfidenceConfig;
 use crate::diffusion::{Guide, Prior, Sampler, SamplingTable, SeededNoise};
 use crate::error::PlannerError;
+use crate::family::{TrainControl, TrainObserver};
 use crate::model::network::{DIFFUSION, REWARD};
 use crate::rng::{Purpose, Rng};
 use crate::training::setting::Setting;
 
 /// Raw states of the best plans from states in which episodes start, of the shape
-/// `(n_plans, horizon·observation_dim)`: of each round of candidates the best `top_candidates` by value.
+/// `(n_plans, horizon·observation_dim)`: of each round of candidates the best `top_candidates` by value. `None` if the
+/// observer stops it.
 pub(super) fn generate(
     setting: &Setting<'_>,
     config: &ConfidenceConfig,
-) -> Result<Vec<f32>, PlannerError> {
+    observer: &mut dyn TrainObserver,
+) -> Result<Option<Vec<f32>>, PlannerError> {
     let (windows, planning) = (setting.windows, &setting.config.planning);
     let (observation_dim, width) = (windows.observation_dim(), windows.width());
     let mut network = setting.trained(DIFFUSION, &setting.config.diffusion_network(width))?;
@@ -28,7 +31,11 @@ pub(super) fn generate(
     let n_kept = config.top_candidates.min(n_candidates);
     let mut plans = Vec::new();
     let mut raw = vec![0.0; observation_dim];
-    for round in 0..config.n_plans.div_ceil(n_kept) as u64 {
+    let n_rounds = config.n_plans.div_ceil(n_kept) as u64;
+    for round in 0..n_rounds {
+        if observer.preparing("plans to learn from", round, n_rounds) == TrainControl::Stop {
+            return Ok(None);
+        }
         let mut starts = Rng::new(setting.seed, Purpose::Starts, round);
         let start = windows.first_observation(starts.below(windows.n_episodes()));
         let prior = Prior {
@@ -36,7 +43,11 @@ pub(super) fn generate(
             observation_dim,
             start: None,
         };
-        let mut noise = SeededNoise::new(std::iter::once((setting.seed, round)), n_candidates);
+        let mut noise = SeededNoise::of(
+            Purpose::GeneratedPlan,
+            std::iter::once((setting.seed, round)),
+            n_candidates,
+        );
         let sample = Sampler {
             network: network.as_mut(),
             guide: Some(&mut guide),
@@ -61,5 +72,5 @@ pub(super) fn generate(
         }
     }
     plans.truncate(config.n_plans * windows.horizon * observation_dim);
-    Ok(plans)
+    Ok(Some(plans))
 }

@@ -16,6 +16,7 @@ use crate::context::Context;
 use crate::lambda_figure::{self, lambda_name};
 use crate::outcome::CommandOutcome;
 use crate::output::{self, OutputFormat};
+use crate::planner_args::PlanArgs;
 
 /// Play one trained planner with several weights of curiosity and draw what they do
 ///
@@ -50,30 +51,17 @@ pub(crate) struct LambdaBenchArgs {
     /// Seed of the first episode
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    /// Candidates of every plan [default: the run's]
-    #[arg(long, value_name = "K")]
-    candidates: Option<NonZero<u32>>,
-    /// Steps from one plan to the next [default: 1]
-    #[arg(long, value_name = "STEPS")]
-    replan_interval: Option<NonZero<u32>>,
-    /// Weight of guidance [default: the run's]
-    #[arg(long, value_name = "W", value_parser = weight)]
-    guidance: Option<f64>,
-    /// Denoising steps of a plan [default: the run's]
-    #[arg(long, value_name = "N")]
-    sampling_steps: Option<NonZero<u32>>,
-    /// Who computes the networks: native or torch
-    #[arg(long, value_name = "NAME")]
-    backend: Option<String>,
     /// The folder of the results
     #[arg(short, long, value_name = "RUN_DIR")]
     output: PathBuf,
-    /// Environments that are stepped together; results do not depend on it [default: 8 per thread]
+    /// Environments that are stepped together; results do not depend on it, except with planners by libtorch [default: 8 per thread]
     #[arg(long, value_name = "N")]
     parallel: Option<NonZero<u16>>,
     /// How to print the table
     #[arg(long, value_enum, default_value_t = OutputFormat::Text)]
     format: OutputFormat,
+    #[command(flatten)]
+    plan: PlanArgs,
 }
 
 fn weight(text: &str) -> Result<f64, String> {
@@ -129,18 +117,11 @@ fn suite(args: &LambdaBenchArgs) -> Result<Suite> {
             .map(|number| usize::try_from(number.get()))
             .transpose()?)
     };
-    let planner = |lambda: &f64| -> Result<PlannerEntry> {
-        Ok(PlannerEntry {
-            name: format!("λ={}", lambda_name(*lambda)),
-            source: Some(source.clone()),
-            replan_interval: args.replan_interval.map(NonZero::try_from).transpose()?,
-            candidates: count(args.candidates)?,
-            guidance: args.guidance,
-            curiosity: Some(*lambda),
-            sampling_steps: count(args.sampling_steps)?,
-            backend: args.backend.clone(),
-            ..PlannerEntry::default()
-        })
+    let planner = |lambda: &f64| PlannerEntry {
+        name: format!("λ={}", lambda_name(*lambda)),
+        source: Some(source.clone()),
+        curiosity: Some(*lambda),
+        ..args.plan.entry()
     };
     let environment = args.env.as_ref().or(args.dataset.as_ref());
     Ok(Suite {
@@ -156,7 +137,7 @@ fn suite(args: &LambdaBenchArgs) -> Result<Suite> {
             max_steps: count(args.max_steps)?,
             ..EnvironmentEntry::default()
         }],
-        planners: args.lambdas.iter().map(planner).collect::<Result<_>>()?,
+        planners: args.lambdas.iter().map(planner).collect(),
         folder: PathBuf::new(),
     })
 }

@@ -32,7 +32,7 @@ pub(crate) struct PlannersBenchArgs {
     /// The folder of the results
     #[arg(short, long, value_name = "RUN_DIR")]
     output: PathBuf,
-    /// Environments that are stepped together; results do not depend on it [default: 8 per thread]
+    /// Environments that are stepped together; results do not depend on it, except with planners by libtorch [default: 8 per thread]
     #[arg(long, value_name = "N")]
     parallel: Option<NonZero<u16>>,
     /// How to print the report

@@ -192,6 +192,9 @@ fn files(run: &Path) -> io::Result<Vec<(String, u64)>> {
 
 fn serve_planner(args: &ServeArgs, context: &Context) -> Result<CommandOutcome> {
     let source = PlannerSource::parse(&args.planner)?;
+    if source.is_finished() == Some(false) {
+        context.warn(&format!("the training of {} is not finished", args.planner));
+    }
     let options = args.planning.open_options(context.threads());
     let make = |setting: &Setting| {
         let environment = registry::make(&EnvironmentRequest::of_id(&setting.environment));
