@@ -1,0 +1,118 @@
+//! Where an agent was and where it was to go, as files record it.
+
+use std::collections::BTreeMap;
+
+use anyhow::{Context as _, Result, bail};
+use arrow::array::{Array as _, AsArray as _, RecordBatch};
+use arrow::datatypes::{DataType, Float64Type};
+use ksim_datasets::{DatasetSource, ObservationLayout, Scan, schema};
+
+use crate::load::{self, PLANNER};
+
+/// Where positions are looked for: the first that is there. Of a simulator's state, the first two are x and y.
+pub(crate) const POSITIONS: [&str; 2] = ["observation.achieved_goal", "info.qpos"];
+/// Where goals are.
+pub(crate) const GOALS: [&str; 2] = ["observation.desired_goal", "info.goal"];
+
+/// Positions of the steps of a planner, or of a whole file, in their order.
+#[derive(Debug, Default)]
+pub(crate) struct Track {
+    /// x and y; NaN where they are null.
+    pub(crate) positions: Vec<[f64; 2]>,
+    /// The same of goals; empty if there is no such column.
+    pub(crate) goals: Vec<[f64; 2]>,
+}
+
+/// The first of some columns that holds two numbers or more in every row.
+pub(crate) fn find(source: &dyn DatasetSource, names: &[&'static str]) -> Option<&'static str> {
+    let columns = source.schema();
+    let is_fit = |name: &str| match columns.field_with_name(name).map(|field| field.data_type()) {
+        Ok(DataType::FixedSizeList(item, width)) => *width >= 2 && item.data_type().is_numeric(),
+        _ => false,
+    };
+    names.iter().copied().find(|name| is_fit(name))
+}
+
+/// Reads positions and goals of all steps, by planner if the file names planners: in the order in which
+/// [`load::rollouts`] and [`load::dataset`] read states.
+///
+/// # Errors
+/// Those of the reader.
+pub(crate) fn read(
+    source: &dyn DatasetSource,
+    position: &str,
+    by_planner: bool,
+) -> Result<BTreeMap<Option<String>, Track>> {
+    let by_planner = by_planner && load::names_planners(source);
+    let goal = find(source, &GOALS);
+    let actions = ObservationLayout::new(&source.info().action);
+    let mut actions = actions.leaves().iter().filter(|leaf| leaf.width > 0);
+    // Null below the last step, where there is an observation only.
+    let action = actions
+        .next()
+        .context("there are no actions")?
+        .column
+        .clone();
+    let wanted = [
+        Some(schema::EPISODE_INDEX),
+        by_planner.then_some(PLANNER),
+        Some(position),
+        goal,
+        Some(&*action),
+    ];
+    let scan = Scan {
+        columns: Some(wanted.into_iter().flatten().map(str::to_owned).collect()),
+        ..Scan::default()
+    };
+    let mut found = BTreeMap::<Option<String>, Track>::new();
+    for batch in source.scan(&scan)? {
+        let batch = batch?;
+        let column = |name: &str| {
+            let column = batch.column_by_name(name);
+            column.with_context(|| format!("column \"{name}\" vanished"))
+        };
+        let planners = match by_planner {
+            true => Some(arrow::compute::cast(column(PLANNER)?, &DataType::Utf8)?),
+            false => None,
+        };
+        let planner = |row: usize| {
+            let names = planners.as_ref()?.as_string::<i32>();
+            names.is_valid(row).then(|| names.value(row).to_owned())
+        };
+        let positions = points(&batch, position)?;
+        let goals = goal.map(|name| points(&batch, name)).transpose()?;
+        let action = column(&action)?;
+        for row in (0..batch.num_rows()).filter(|row| action.is_valid(*row)) {
+            let track = found.entry(planner(row)).or_default();
+            track.positions.push(positions[row]);
+            track.goals.extend(goals.as_ref().map(|goals| goals[row]));
+        }
+    }
+    Ok(found)
+}
+
+/// The first two numbers of every row; what is null is NaN.
+pub(crate) fn points(batch: &RecordBatch, name: &str) -> Result<Vec<[f64; 2]>> {
+    let column = batch.column_by_name(name).context("a column vanished")?;
+    let list = column.as_fixed_size_list_opt();
+    let Some(list) = list.filter(|list| list.value_length() >= 2) else {
+        bail!(
+            "column \"{name}\" holds {}, expected lists of two numbers or more",
+            column.data_type()
+        );
+    };
+    let values = arrow::compute::cast(list.values(), &DataType::Float64)?;
+    let values = values.as_primitive::<Float64Type>();
+    let at = |place: usize| match values.is_valid(place) {
+        true => values.value(place),
+        false => f64::NAN,
+    };
+    let one = |row: usize| {
+        let start = usize::try_from(list.value_offset(row)).unwrap_or(0);
+        match list.is_valid(row) {
+            true => [at(start), at(start + 1)],
+            false => [f64::NAN; 2],
+        }
+    };
+    Ok((0..list.len()).map(one).collect())
+}
