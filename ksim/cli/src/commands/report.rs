@@ -53,7 +53,7 @@ pub(crate) fn run(args: &ReportArgs, context: &Context) -> Result<CommandOutcome
     };
     let needs_positions = asked_for.is_some();
     let session = Session::open_checked(&job, context, &|dataset, files| {
-        reporting::check(dataset, files, needs_positions)
+        reporting::check(dataset, files, (&job, needs_positions))
     })?;
     let of_dataset = || {
         let found = registry::for_dataset(session.dataset().info()).ok()?;

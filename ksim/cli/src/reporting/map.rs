@@ -8,7 +8,8 @@ use ksim_datasets::DatasetSource;
 use ksim_envs::maze::{CELL_SIZE_M, Maze, Tile};
 
 use super::Request;
-use crate::positions::{self, POSITIONS, Track};
+use crate::pairing::Listed;
+use crate::positions::{self, GOALS, POSITIONS, Pair, Track};
 use crate::scoring::{ScoredRollouts, Session};
 
 /// Share of the dataset beyond the picture of a projection, on each side; the rollouts are always in it.
@@ -57,22 +58,22 @@ impl Fault {
     }
 }
 
-/// The column of the positions.
-pub(super) fn position_column(source: &dyn DatasetSource) -> Result<&'static str, Fault> {
-    positions::find(source, &POSITIONS).ok_or_else(|| {
-        let expected = POSITIONS.join(" or ");
-        let found = source.schema();
-        let found: Vec<&str> = found
-            .fields()
-            .iter()
-            .map(|field| field.name().as_str())
-            .collect();
-        let what = format!(
-            "no positions: expected column {expected}, found {}",
-            found.join(", ")
-        );
-        Fault::new(source, what)
-    })
+/// Where the positions of a file are: in a column of their own, or where those of the dataset are.
+pub(super) fn position_of(
+    source: &dyn DatasetSource,
+    paired: (&dyn DatasetSource, Listed),
+) -> Result<Pair, Fault> {
+    let own = positions::find(source, &POSITIONS);
+    own.or_else(|| positions::find_paired(source, paired, "achieved_goal"))
+        .ok_or_else(|| {
+            let expected = POSITIONS.join(" or ");
+            let found = source.schema();
+            let names = found.fields().iter().map(|field| field.name().as_str());
+            let found: Vec<&str> = names.collect();
+            let found = found.join(", ");
+            let what = format!("no positions: expected column {expected}, found {found}");
+            Fault::new(source, what)
+        })
 }
 
 impl Drawn {
@@ -85,7 +86,7 @@ impl Drawn {
         let Some(maze) = &request.maze else {
             return Ok(projected(request.session, scored, kept));
         };
-        match in_maze(maze, request.session, rollouts, kept)? {
+        match in_maze(maze, request, rollouts, kept)? {
             Ok(drawn) => Ok(drawn),
             Err(fault) if request.needs_positions => Err(fault.in_full()),
             Err(fault) => {
@@ -117,16 +118,21 @@ impl Drawn {
 
 fn in_maze(
     maze: &Maze,
-    session: &Session,
+    request: &Request<'_>,
     rollouts: &[ScoredRollouts],
     kept: &[Kept],
 ) -> Result<Result<Drawn, Fault>> {
+    let session = request.session;
+    let listed = Listed::new(&request.job.rollout_options, &request.job.dataset_options);
+    let paired = (session.dataset(), listed);
     let read = |source: &dyn DatasetSource, by_planner: bool| {
-        Ok::<_, anyhow::Error>(match position_column(source) {
-            Ok(column) => {
-                let tracks = positions::read(source, column, by_planner);
+        Ok::<_, anyhow::Error>(match position_of(source, paired) {
+            Ok(position) => {
+                let goal = positions::find(source, &GOALS);
+                let goal = goal.or_else(|| positions::find_paired(source, paired, "desired_goal"));
+                let tracks = positions::read(source, (&position, goal.as_ref()), by_planner);
                 let path = || source.info().path.display().to_string();
-                Ok((column, tracks.with_context(path)?))
+                Ok((position.column, tracks.with_context(path)?))
             }
             Err(fault) => Err(fault),
         })
@@ -150,7 +156,7 @@ fn in_maze(
     };
     if let Some(fault) = fault(
         session.dataset(),
-        (column, &reference.positions),
+        (&column, &reference.positions),
         n_rows,
         &place,
     )? {

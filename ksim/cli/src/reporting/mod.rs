@@ -19,6 +19,7 @@ use self::facts::Facts;
 use self::map::{Drawn, Fault};
 use crate::context::Context;
 use crate::document::{DatasetPart, Document};
+use crate::pairing::Listed;
 use crate::scoring::{Job, RolloutFile, ScoredRollouts, Session};
 use crate::table;
 
@@ -40,12 +41,13 @@ pub(crate) struct Request<'a> {
 pub(crate) fn check(
     dataset: &dyn DatasetSource,
     files: &[RolloutFile],
-    needs_positions: bool,
+    (job, needs_positions): (&Job, bool),
 ) -> Result<()> {
     if needs_positions {
+        let listed = Listed::new(&job.rollout_options, &job.dataset_options);
         let sources = files.iter().map(|file| &*file.source).chain([dataset]);
         for source in sources {
-            map::position_column(source).map_err(Fault::in_full)?;
+            map::position_of(source, (dataset, listed)).map_err(Fault::in_full)?;
         }
     }
     let mut n_episodes = 0;
@@ -276,20 +278,22 @@ fn stripped(document: &Document, session: &Session) -> Result<Value> {
     paths.sort_by_key(|path| std::cmp::Reverse(path.as_os_str().len()));
     remove(&mut value, &["threads", "elapsed_s"]);
     for (part, names) in [("dataset", &["path"]), ("search", &["index"])] {
-        value.get_mut(part).map(|part| remove(part, names));
+        if let Some(part) = value.get_mut(part) {
+            remove(part, names);
+        }
     }
     if let Some(Value::String(file)) = value.pointer_mut("/search/clusters/centers_file") {
         *file = last_part(Path::new(file));
     }
-    value
-        .pointer_mut("/dataset/warnings")
-        .map(|texts| without_folders(texts, &paths));
+    if let Some(texts) = value.pointer_mut("/dataset/warnings") {
+        without_folders(texts, &paths);
+    }
     let results = value.get_mut("results").and_then(Value::as_array_mut);
     for result in results.into_iter().flatten() {
         remove(result, &["file", "episodes", "elapsed_s"]);
-        result
-            .get_mut("warnings")
-            .map(|texts| without_folders(texts, &paths));
+        if let Some(texts) = result.get_mut("warnings") {
+            without_folders(texts, &paths);
+        }
     }
     Ok(value)
 }

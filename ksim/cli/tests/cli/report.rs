@@ -676,6 +676,28 @@ fn goals_and_positions_that_cannot_be_drawn_do_not_keep_a_page_from_being_made()
         page["groups"][0]["episodes"]["goals"]["n"],
         serde_json::json!([1, 1, 1])
     );
+    // So do the places of a single vector that go with the dataset's.
+    let vector = world.at("vector.parquet");
+    let n = 40;
+    let states: Vec<f32> = (0..10 * n).map(|i| (i as f32 * 0.3).sin()).collect();
+    let columns = vec![
+        (
+            "episode_index",
+            Arc::new(Int64Array::from(vec![0; n])) as ArrayRef,
+        ),
+        ("observation", list(10, &states)),
+        ("action", list(3, &vec![0.5; 3 * n])),
+    ];
+    write_parquet(&vector, columns);
+    let page = world.report(&[&vector], &["--env", "antmaze-umaze"]);
+    let group = &page["groups"][0];
+    let at = |place: usize| -> Vec<f64> {
+        let rows = states.chunks(10);
+        rows.map(|row| f64::from(row[place])).collect()
+    };
+    assert_near(&unpacked(&group["steps"]["y"]), &at(1), 1e-3, "positions");
+    let goals = &group["episodes"]["goals"];
+    assert_near(&unpacked(&goals["x"]), &at(8), 1e-3, "goals");
     // Without any, what was asked for is refused; what was not is left out, and that is said.
     let lost = Walks {
         names: ["observation.a", "observation.b"],
