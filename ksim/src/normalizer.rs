@@ -66,6 +66,11 @@ impl Normalizer {
         (value - self.mean[column]) / self.std[column]
     }
 
+    /// `value · std + mean` of one column: back to raw units.
+    pub fn denormalize(&self, column: usize, value: f64) -> f64 {
+        value * self.std[column] + self.mean[column]
+    }
+
     pub(crate) fn normalize_in_place(&self, data: &mut Matrix) {
         data.map_in_place(|column, value| self.normalize(column, value));
     }

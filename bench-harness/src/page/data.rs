@@ -4,12 +4,15 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::density::Density;
+use super::pack::Column;
 use super::steps::StepColumns;
 use super::worst::WorstStep;
 use crate::figure::Palettes;
 
-/// Bins of a histogram.
+/// Bins of a histogram, about.
 const BINS: usize = 60;
+/// γ of the published definitions.
+const GAMMA: f64 = 0.5;
 /// Share of distances that a histogram's last bin begins above.
 const COVERED: f64 = 0.995;
 
@@ -83,9 +86,32 @@ pub struct EpisodeFacts {
     /// Whether any step reports success, where it is recorded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub success: Option<Vec<Option<bool>>>,
-    /// Goals (x, y) in the order in which an episode had them, in meters.
+    /// Goals in the order in which an episode had them.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub goals: Option<Vec<Vec<[f64; 2]>>>,
+    pub goals: Option<Goals>,
+}
+
+/// Goals of the episodes of a group on the map, episode after episode.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Goals {
+    /// Goals of every episode.
+    pub n: Vec<usize>,
+    /// Where they lie.
+    pub x: Column,
+    /// See `x`.
+    pub y: Column,
+}
+
+impl Goals {
+    /// Packs the goals of every episode, within the ranges of the map.
+    pub fn new(episodes: &[Vec<[f64; 2]>], [x, y]: [[f64; 2]; 2]) -> Self {
+        let all = |axis: usize| episodes.iter().flatten().map(move |goal| goal[axis]);
+        Self {
+            n: episodes.iter().map(Vec::len).collect(),
+            x: Column::places(all(0), x),
+            y: Column::places(all(1), y),
+        }
+    }
 }
 
 /// Equal bins from `low` to `high`; the last holds what lies beyond, too.
@@ -97,19 +123,26 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// Bins for distances, from 0 to a round number that all but a few are below.
+    /// Bins for distances, from 0 to a round number that all but a few are below; none straddles the published γ.
     pub fn covering(distances: impl Iterator<Item = f64>) -> Self {
+        Self::with_border(distances, GAMMA)
+    }
+
+    /// The same for another border that no bin straddles, unless it is much smaller than a bin.
+    pub fn with_border(distances: impl Iterator<Item = f64>, border: f64) -> Self {
         let mut sorted: Vec<f64> = distances.collect();
         sorted.sort_by(f64::total_cmp);
         let last = sorted.len().saturating_sub(1);
         let most = sorted.get((COVERED * last as f64) as usize).copied();
-        // Halves, so that figures of similar rollouts have the same axis.
-        let high = (2.0 * most.unwrap_or(1.0)).ceil() / 2.0;
-        Self {
-            low: 0.0,
-            high: high.max(1.0),
-            n: BINS,
-        }
+        // Round numbers, so that figures of similar rollouts have the same axis.
+        let halves = ((2.0 * most.unwrap_or(1.0)).ceil() / 2.0).max(1.0);
+        let borders = (halves / border).ceil();
+        let per_border = (BINS as f64 / borders).round();
+        let (high, n) = match border < halves && per_border > 0.0 {
+            true => (borders * border, (borders * per_border) as usize),
+            false => (halves, BINS),
+        };
+        Self { low: 0.0, high, n }
     }
 
     /// Ends of the bins, ascending.
@@ -190,6 +223,16 @@ mod tests {
         let counts = bins.counts(distances());
         assert_eq!(counts.iter().sum::<u64>(), 1001);
         assert_eq!(counts.last(), Some(&1));
+        for (far, border) in [(3.5, 0.5), (4.5, 0.5), (7.0, 0.5), (2.0, 0.3), (0.1, 0.9)] {
+            let bins = Histogram::with_border([0.0, far].into_iter(), border);
+            let at = |edge: &f64| (edge - border).abs() < 1e-12;
+            assert!(bins.edges().iter().any(at), "{border}: {bins:?}");
+            assert!(bins.high >= far && (40..=120).contains(&bins.n), "{bins:?}");
+        }
+        for border in [1e-300, 1e-4, 8.0, 1e300] {
+            let bins = Histogram::with_border([2.0].into_iter(), border);
+            assert_eq!((bins.high, bins.n), (2.0, BINS));
+        }
         // Nothing, and nothing but zeros.
         assert_eq!(Histogram::covering([].into_iter()).high, 1.0);
         assert_eq!(

@@ -94,12 +94,8 @@ fn raw(reference: &Reference, rows: std::ops::Range<usize>) -> (Vec<f64>, Vec<f6
         let mut values = Vec::with_capacity(rows.len() * row.len());
         for number in rows.clone() {
             matrix.read_row(number, &mut row);
-            let statistics = normalizer.mean().iter().zip(normalizer.std());
-            values.extend(
-                row.iter()
-                    .zip(statistics)
-                    .map(|(value, (mean, std))| value * std + mean),
-            );
+            let columns = row.iter().enumerate();
+            values.extend(columns.map(|(column, value)| normalizer.denormalize(column, *value)));
         }
         values
     };

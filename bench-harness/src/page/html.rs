@@ -4,6 +4,8 @@ use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use sha2::{Digest as _, Sha256};
 
+use serde_json::Value;
+
 use super::data::Page;
 
 const TEMPLATE: &str = include_str!("../../assets/page/page.html");
@@ -43,7 +45,9 @@ pub fn html(page: &Page) -> Result<String, serde_json::Error> {
         hash(&script),
         hash(&style)
     );
-    let data = serde_json::to_string(page)?.replace('<', "\\u003c");
+    let mut data = serde_json::to_value(page)?;
+    spell_out(&mut data);
+    let data = data.to_string().replace('<', "\\u003c");
     let generator = format!("ksim {}", env!("CARGO_PKG_VERSION"));
     let parts = [
         ("policy", policy),
@@ -54,6 +58,22 @@ pub fn html(page: &Page) -> Result<String, serde_json::Error> {
         ("script", script),
     ];
     Ok(filled(TEMPLATE, &parts))
+}
+
+/// Makes text of whole numbers that a script would round.
+fn spell_out(value: &mut Value) {
+    const EXACT: u64 = 1 << 53;
+    match value {
+        Value::Number(number) => {
+            let signed = number.as_i64().map(i64::unsigned_abs);
+            if signed.or(number.as_u64()).is_some_and(|size| size > EXACT) {
+                *value = Value::String(number.to_string());
+            }
+        }
+        Value::Array(values) => values.iter_mut().for_each(spell_out),
+        Value::Object(fields) => fields.values_mut().for_each(spell_out),
+        _ => {}
+    }
 }
 
 /// The template with its `{{name}}`s replaced, once: what is filled in is not looked at again.
@@ -110,6 +130,16 @@ mod tests {
             assert!(!lower.contains("</script") && !lower.contains("</style"));
             assert!(!lower.contains("@import") && !lower.contains("url("));
         }
+    }
+
+    #[test]
+    fn whole_numbers_keep_all_their_digits() {
+        let mut data = serde_json::json!({"a": [1u64 << 53, (1u64 << 53) + 1, -9007199254740993i64, u64::MAX, 1e300]});
+        spell_out(&mut data);
+        let expected = serde_json::json!({
+            "a": [1u64 << 53, "9007199254740993", "-9007199254740993", "18446744073709551615", 1e300]
+        });
+        assert_eq!(data, expected);
     }
 
     #[test]

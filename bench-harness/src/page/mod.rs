@@ -13,7 +13,7 @@ mod projection;
 mod steps;
 mod worst;
 
-pub use data::{EpisodeFacts, Group, HeldOutPart, Histogram, Map, Page, ReferencePart};
+pub use data::{EpisodeFacts, Goals, Group, HeldOutPart, Histogram, Map, Page, ReferencePart};
 pub use density::Density;
 pub use held_out::{HeldOut, NoHeldOut};
 pub use html::html;

@@ -36,6 +36,23 @@ impl Column {
         Self::new("f32", &bytes)
     }
 
+    /// Single precision that stays on its side of a border: what is within, as told, is not rounded beyond it, nor the
+    /// other way round.
+    pub fn beside(values: impl Iterator<Item = (f64, bool)>, border: f64) -> Self {
+        let rounded = |(value, is_within): (f64, bool)| {
+            let single = (value as f32).min(f32::MAX);
+            match f64::from(single) <= border {
+                true if !is_within => single.next_up(),
+                false if is_within => single.next_down(),
+                _ => single,
+            }
+        };
+        let bytes: Vec<u8> = values
+            .flat_map(|value| rounded(value).to_le_bytes())
+            .collect();
+        Self::new("f32", &bytes)
+    }
+
     /// Bytes as they are.
     pub fn u8(values: &[u8]) -> Self {
         Self::new("u8", values)
@@ -109,6 +126,24 @@ mod tests {
             json(&Column::f32([1.0].into_iter())),
             r#"{"type":"f32","base64":"AACAPw=="}"#
         );
+    }
+
+    #[test]
+    fn rounding_does_not_cross_the_border() {
+        // 0.1 lies between two singles, 0.3 as well.
+        for border in [0.1, 0.3, 0.5] {
+            let near = [border * (1.0 - 1e-12), border, border * (1.0 + 1e-12)];
+            let column = Column::beside(
+                near.map(|value| (value, value <= border)).into_iter(),
+                border,
+            );
+            let bytes = BASE64_STANDARD.decode(&column.base64).unwrap();
+            let singles = bytes
+                .chunks_exact(4)
+                .map(|b| f32::from_le_bytes(b.try_into().unwrap()));
+            let within: Vec<bool> = singles.map(|single| f64::from(single) <= border).collect();
+            assert_eq!(within, [true, true, false]);
+        }
     }
 
     #[test]

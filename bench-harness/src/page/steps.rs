@@ -148,6 +148,16 @@ impl Kept {
         &self.rows
     }
 
+    /// The rows of every episode.
+    pub fn by_episode(&self) -> impl Iterator<Item = &[usize]> {
+        let mut rest = &*self.rows;
+        self.n.iter().map(move |n| {
+            let (rows, others) = rest.split_at(*n);
+            rest = others;
+            rows
+        })
+    }
+
     /// Whether the steps of every episode are numbered 0, 1, 2, …
     fn counts_on(&self) -> bool {
         let expected = self.n.iter().flat_map(|n| 0..*n as i64);
@@ -177,7 +187,23 @@ impl StepColumns {
     ) -> Self {
         let rows = || kept.rows.iter().copied();
         let steps = || rows().map(|row| &scored.report.steps[row]);
-        let scaled = |part: usize| Column::f32(steps().map(|step| scored.scaled(step)[part]));
+        // What the page calls saturated is what the score calls so.
+        let gamma = scored.ksim.gamma();
+        let scaled = |part: usize| {
+            let values = steps().map(|step| {
+                let value = scored.scaled(step)[part];
+                let is_whole = part == 0;
+                (
+                    value,
+                    if is_whole {
+                        step.score >= 1.0
+                    } else {
+                        value <= gamma
+                    },
+                )
+            });
+            Column::beside(values, gamma)
+        };
         let matches: Vec<(i64, i64)> = steps()
             .map(|step| scored.matched(step.reference_row))
             .collect();

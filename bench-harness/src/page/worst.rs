@@ -113,7 +113,7 @@ fn differences(
             (0..own.n_features()).map(move |column| {
                 let (value, there) = (own.value(row, column), other.value(matched, column));
                 let difference = normalizer.normalize(column, value) - there;
-                let demonstration = there * normalizer.std()[column] + normalizer.mean()[column];
+                let demonstration = normalizer.denormalize(column, there);
                 (difference, value, demonstration)
             })
         });

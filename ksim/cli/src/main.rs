@@ -22,6 +22,7 @@ mod overlay;
 mod pairing;
 mod per_step;
 mod planner_args;
+mod positions;
 mod reporting;
 mod rolling;
 mod rollout_args;

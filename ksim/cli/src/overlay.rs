@@ -212,7 +212,7 @@ impl<'a> Overlay<'a> {
         let mut columns = vec![number(0), number(1)];
         let raw =
             |matrix: &ksim::Matrix, normalizer: &ksim::Normalizer, row: usize, column: usize| {
-                matrix.value(row, column) * normalizer.std()[column] + normalizer.mean()[column]
+                normalizer.denormalize(column, matrix.value(row, column))
             };
         for (field, places) in &self.leaves {
             let value =

@@ -58,13 +58,14 @@ pub(crate) struct Session {
 pub(crate) struct ScoredRollouts {
     /// Place of the file among those of the session.
     pub(crate) file: usize,
-    /// Place among the planners of the file.
-    pub(crate) group: usize,
     /// States and actions.
     pub(crate) steps: Steps,
     /// Their scores.
     pub(crate) report: Report,
 }
+
+/// What a command asks of the opened dataset and rollouts, before anything is read.
+pub(crate) type Check<'a> = dyn Fn(&dyn DatasetSource, &[RolloutFile]) -> Result<()> + 'a;
 
 /// Takes what was scored.
 pub(crate) type Visit<'a> = dyn FnMut(ScoredRollouts) -> Result<()> + 'a;
@@ -100,6 +101,11 @@ pub(crate) fn run(job: &Job, context: &Context) -> Result<(Document, CommandOutc
 impl Session {
     /// Opens all files, checks that they fit, reads the dataset and builds the search.
     pub(crate) fn open(job: &Job, context: &Context) -> Result<Self> {
+        Self::open_checked(job, context, &|_, _| Ok(()))
+    }
+
+    /// The same with a further check of the opened files.
+    pub(crate) fn open_checked(job: &Job, context: &Context, check: &Check<'_>) -> Result<Self> {
         for path in [&job.per_step, &job.output].into_iter().flatten() {
             atomic::check_target(path)?;
         }
@@ -108,6 +114,7 @@ impl Session {
         }
         let inputs = open(job, context)?;
         check_outputs(job, &inputs)?;
+        check(&*inputs.dataset, &inputs.rollouts)?;
         let fitted = fit(&inputs, job, context)?;
         Ok(Self { inputs, fitted })
     }
@@ -262,7 +269,7 @@ fn score_all(
         } = rollouts;
         let path = source.info().path.display();
         let groups = load::rollouts(&**source, columns, context)?;
-        for (group, steps) in groups.into_iter().enumerate() {
+        for steps in groups {
             let (mut result, report) = score_one(file, &steps, fitted, (&job.settings, context))
                 .with_context(|| path.to_string())?;
             let of_reader = source.info().warnings.iter().map(ToString::to_string);
@@ -284,7 +291,6 @@ fn score_all(
             results.push(result);
             visit(ScoredRollouts {
                 file: place,
-                group,
                 steps,
                 report,
             })?;

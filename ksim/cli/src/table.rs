@@ -162,25 +162,33 @@ pub(crate) fn headline(document: &Document) -> String {
     format!("{columns}, {mean} ({source}{flags}{search})")
 }
 
-/// Names of the rows: the file's name alone where no other file has the same.
+/// Names of the rows: of a file as much of the end of its path as tells it from the others.
 pub(crate) fn labels(results: &[RolloutResult]) -> Vec<String> {
-    let name = |file: &str| file.rsplit('/').next().unwrap_or(file).to_owned();
-    let is_unique = |file: &str| {
-        results
-            .iter()
-            .all(|other| other.file == file || name(&other.file) != name(file))
-    };
+    let files: Vec<&str> = results.iter().map(|result| &*result.file).collect();
     results
         .iter()
         .map(|result| {
-            let file = if is_unique(&result.file) {
-                name(&result.file)
-            } else {
-                result.file.clone()
-            };
-            RolloutResult::label_of(&file, result.planner.as_deref())
+            let file = distinct_end(&result.file, &files);
+            RolloutResult::label_of(file, result.planner.as_deref())
         })
         .collect()
+}
+
+/// The fewest last parts of a path that no other path ends with.
+fn distinct_end<'p>(path: &'p str, all: &[&str]) -> &'p str {
+    let slashes = path
+        .rmatch_indices('/')
+        .map(|(place, _)| &path[place + 1..]);
+    let is_distinct = |end: &&str| {
+        let is_same = |other: &str| {
+            other
+                .strip_suffix(end)
+                .is_some_and(|rest| rest.is_empty() || rest.ends_with('/'))
+        };
+        all.iter().all(|other| *other == path || !is_same(other))
+    };
+    let mut ends = slashes.filter(|end| !end.is_empty()).chain([path]);
+    ends.find(is_distinct).unwrap_or(path)
 }
 
 fn result_row(result: &RolloutResult, label: String) -> Vec<String> {
@@ -338,6 +346,26 @@ mod tests {
         let seen = [0.0, 0.12345, 1e300, 2e-9, f64::INFINITY].map(decimals);
         assert_eq!(seen, ["0.0000", "0.1235", "1.0000e300", "2.0000e-9", "inf"]);
         assert_eq!([0.5, 1e300].map(plain), ["0.5", "1e300"]);
+    }
+
+    #[test]
+    fn files_of_one_name_are_told_apart_by_as_little_as_possible() {
+        let ends = |files: &[&'static str]| -> Vec<&str> {
+            files.iter().map(|file| distinct_end(file, files)).collect()
+        };
+        assert_eq!(
+            ends(&["/h/u/a.parquet", "/h/u/ba.parquet"]),
+            ["a.parquet", "ba.parquet"]
+        );
+        assert_eq!(
+            ends(&["/h/u/1/r.x", "/h/u/2/r.x", "q.x"]),
+            ["1/r.x", "2/r.x", "q.x"]
+        );
+        assert_eq!(
+            ends(&["/h/1/s/r.x", "/h/2/s/r.x", "r.x"]),
+            ["1/s/r.x", "2/s/r.x", "r.x"]
+        );
+        assert_eq!(ends(&["/h/r.x", "/h/r.x", "set/"]), ["r.x", "r.x", "set/"]);
     }
 
     #[test]

@@ -79,6 +79,11 @@ impl KSim {
         &self.reference
     }
 
+    /// Scale of the score: a step scores 1 up to this distance by the root of the number of columns.
+    pub fn gamma(&self) -> f64 {
+        self.params.gamma
+    }
+
     /// Number of reference steps.
     pub fn n_reference_steps(&self) -> usize {
         self.reference.states.n_rows()

@@ -53,9 +53,14 @@ function ticks(low, high, n) {
   const rough = (high - low) / n;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= rough * 0.999);
+  const first = Math.ceil(low / step - 1e-9);
   const found = [];
-  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + step * 1e-9; i++) {
-    found.push(Number((i * step).toPrecision(12)));
+  // Counted: far from 0 the next of two neighboring numbers may be the same number.
+  for (let i = 0; i <= 2 * n; i++) {
+    const at = (first + i) * step;
+    if (!(at <= high + step * 1e-9)) break;
+    const tick = Number(at.toPrecision(12));
+    if (tick !== found[found.length - 1]) found.push(tick);
   }
   return found;
 }

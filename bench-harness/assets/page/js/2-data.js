@@ -31,7 +31,16 @@ groups.forEach((group, place) => {
   }
   group.first = [0];
   for (const n of steps.n) group.first.push(group.first[group.first.length - 1] + n);
+  group.goals = goalsOf(group.episodes.goals);
 });
+
+/** Goals of every episode. */
+function goalsOf(packed) {
+  if (!packed) return null;
+  const [x, y] = [unpack(packed.x), unpack(packed.y)];
+  let next = 0;
+  return packed.n.map((n) => Array.from({ length: n }, () => [x[next], y[next++]]));
+}
 
 /** Every episode of the page, in the order of the rollouts. */
 const episodes = groups.flatMap((group) =>
@@ -63,7 +72,7 @@ function stepOf(episode, k) {
     matchStep: group.match_step[row],
     at: group.x ? [group.x[row], group.y[row]] : null,
     match: group.match_x ? [group.match_x[row], group.match_y[row]] : null,
-    novelty: group.novelty ? group.novelty[row] : null,
+    novelty: group.novelty && Number.isFinite(group.novelty[row]) ? group.novelty[row] : null,
   };
 }
 

@@ -2,11 +2,25 @@
 
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** Colors of the rollouts; beyond seven they come again. */
-const groupColor = (group) => `var(--g${group.place % 7})`;
-const groupPaint = (group) => css(`--g${group.place % 7}`);
+/** Rollouts are told apart by color, and by shape or dash: both together come again only after 30 of them. */
+const COLORS = 6;
+const groupColor = (group) => `var(--g${group.place % COLORS})`;
+const groupPaint = (group) => css(`--g${group.place % COLORS}`);
+const DASHES = [[], [9, 3], [2, 2.5], [9, 3, 2, 3], [5, 3]];
+const groupDash = (group) => DASHES[group.place % DASHES.length];
 
-const finite = (numbers) => numbers.filter((n) => Number.isFinite(n));
+/** Outlines around a point, of about the same area at a radius. */
+const polygon = (corners) => (x, y, r) => `M${corners.map(([a, b]) => `${(x + a * r).toFixed(1)} ${(y + b * r).toFixed(1)}`).join("L")}Z`;
+const SHAPES = [
+  (x, y, r) => `M${(x - r).toFixed(1)} ${y.toFixed(1)}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0Z`,
+  polygon([[0, -1.25], [1.15, 0.8], [-1.15, 0.8]]),
+  polygon([[-0.9, -0.9], [0.9, -0.9], [0.9, 0.9], [-0.9, 0.9]]),
+  polygon([[-0.4, -1.2], [0.4, -1.2], [0.4, -0.4], [1.2, -0.4], [1.2, 0.4], [0.4, 0.4], [0.4, 1.2], [-0.4, 1.2], [-0.4, 0.4], [-1.2, 0.4], [-1.2, -0.4], [-0.4, -0.4]]),
+  polygon([[0, -1.35], [1.1, 0], [0, 1.35], [-1.1, 0]]),
+  polygon([[0, 1.25], [1.15, -0.8], [-1.15, -0.8]]),
+  polygon([[-1.2, -0.65], [-0.65, -1.2], [0, -0.55], [0.65, -1.2], [1.2, -0.65], [0.55, 0], [1.2, 0.65], [0.65, 1.2], [0, 0.55], [-0.65, 1.2], [-1.2, 0.65], [-0.55, 0]]),
+];
+const groupShape = (group) => SHAPES[group.place % SHAPES.length];
 
 /** How numbers of steps become colors. */
 const SCALES = {
@@ -80,15 +94,14 @@ function keepDrawn(element, draw) {
 }
 
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-// Paper is light, whatever the screen is.
-addEventListener("beforeprint", () => {
-  document.documentElement.classList.add("print");
+// Paper is light and narrow, whatever the screen is.
+function onPaper(is) {
+  document.documentElement.classList.toggle("print", is);
   redraw();
-});
-addEventListener("afterprint", () => {
-  document.documentElement.classList.remove("print");
-  redraw();
-});
+}
+addEventListener("beforeprint", () => onPaper(true));
+addEventListener("afterprint", () => onPaper(false));
+matchMedia("print").addEventListener("change", (event) => onPaper(event.matches));
 
 /** A note beside the pointer; `null` hides it. */
 function tip(figure, text, [x, y] = [0, 0]) {

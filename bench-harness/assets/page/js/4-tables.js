@@ -2,11 +2,7 @@
 
 const PAGE = 20;
 
-const swatch = (group) => {
-  const mark = h("span", { class: "swatch" });
-  mark.style.background = groupColor(group);
-  return mark;
-};
+const swatch = (group) => s("svg", { class: "swatch", viewBox: "0 0 12 12", "aria-hidden": "true" }, s("path", { d: groupShape(group)(6, 6, 4.2), fill: groupColor(group) }));
 
 /** An interval as a line with a dot, on an axis from 0 to 1. */
 function whisker(group) {
@@ -178,13 +174,18 @@ function worstTable() {
   byId("worst").replaceChildren(h("thead", {}, h("tr", {}, ...head.map((name) => h("th", { scope: "col", class: name.startsWith("differs") ? "wrap" : null }, name)))), h("tbody", {}, ...rows));
 }
 
+/** What an approximate search changes, against an exact one. */
+const costOf = (error) => `recall ${error.recall_at_k.toFixed(3)}, ${percent(error.match_differs_share)} of the matches differ, score difference ${error.mean_score_difference.toFixed(4)} in the mean and ${error.max_score_difference.toFixed(4)} at most`;
+
 const shortly = (value) => String(Number(value.toPrecision(4))).replace("-", "−");
 
 function provenance() {
   const { dataset, parameters, search, fingerprint, version } = data.document;
   const names = parameters.state_column_names;
   const listed = names.length > 12 ? `${names.slice(0, 12).join(", ")}, … (${names.length} in all)` : names.join(", ");
-  const clusters = search.clusters ? `, ${search.clusters.n_clusters} clusters, inertia ${search.clusters.inertia}` : "";
+  const centers = search.clusters?.centers_file ? ` of ${search.clusters.centers_file}` : "";
+  const clusters = search.clusters ? `, ${search.clusters.n_clusters} clusters${centers}, inertia ${search.clusters.inertia}` : "";
+  const costs = groups.filter((group) => group.result.approximation_error).map((group) => [`cost of it, ${group.label}`, costOf(group.result.approximation_error)]);
   const rows = [
     ["fingerprint", `${fingerprint} (compare only results with the same)`],
     ["ksim", version],
@@ -196,6 +197,7 @@ function provenance() {
     ["γ", String(parameters.gamma)],
     ["K, nearest states", String(parameters.n_neighbors)],
     ["search", `${search.engine}, ${search.exact ? "exact" : "approximate"}${clusters}`],
+    ...costs,
     ["state columns", `${stateDim}: ${listed}`],
     ["action columns", String(actionDim)],
     ["seed", String(parameters.seed)],

@@ -116,14 +116,13 @@ let distances = null;
 function drawDistances() {
   const figure = byId("distances");
   const { low, high, n } = data.histogram;
-  const edges = Array.from({ length: n }, (_, i) => low + ((high - low) * i) / n);
-  const share = (counts) => {
-    const total = counts.reduce((a, b) => a + b, 0);
-    return counts.map((count) => (100 * count) / total);
-  };
-  const shown = groups.map((group) => ({ label: group.label, stroke: groupPaint(group), width: 2, counts: group.histogram }));
-  if (data.held_out) shown.push({ label: "held-out demonstrations", stroke: css("--data"), width: 1.6, dash: [6, 4], counts: data.held_out.histogram });
-  const bin = (value) => `${value.toFixed(3)} – ${(value + (high - low) / n).toFixed(3)}`;
+  const width = (high - low) / n;
+  const edges = Array.from({ length: n + 1 }, (_, i) => (i === n ? high : low + width * i));
+  // A bin reaches from its edge to the next; the last edge only ends the last bin.
+  const outline = (counts) => [...shares(counts), shares(counts)[n - 1]];
+  const shown = groups.map((group) => ({ label: group.label, stroke: groupPaint(group), width: 2, dash: groupDash(group), counts: group.histogram }));
+  if (data.held_out) shown.push({ label: HELD_OUT, stroke: css("--data"), width: 1, fill: css("--held"), counts: data.held_out.histogram });
+  const bin = (value) => (value > high - 1.5 * width ? `${edges[n - 1].toFixed(3)} and more` : `${value.toFixed(3)} – ${(value + width).toFixed(3)}`);
   const options = {
     width: figure.clientWidth,
     height: 280,
@@ -133,10 +132,48 @@ function drawDistances() {
     ],
     axes: [axis("distance to the matched step, d/√d", 42), axis("steps, %", 52)],
     scales: { x: { time: false }, y: { range: (_, __, most) => [0, 1.05 * (most || 1)] } },
+    cursor: { dataIdx: (plot, series, nearest, value) => clamp(Math.floor((value - low) / width), 0, n - 1) },
     hooks: { drawClear: [(plot) => mark(plot, gamma, false)] },
   };
   distances?.destroy();
-  distances = new uPlot(options, [edges, ...shown.map(({ counts }) => share(counts))], figure);
+  distances = new uPlot(options, [edges, ...shown.map(({ counts }) => outline(counts))], figure);
+  // Lines of the legend as they are in the figure.
+  figure.querySelectorAll(".u-series .u-marker").forEach((marker, i) => {
+    const style = shown[i - 1];
+    if (!style) return;
+    const { stroke, fill = "none", dash = [] } = style;
+    marker.removeAttribute("style");
+    marker.replaceChildren(s("svg", { width: 26, height: 10, "aria-hidden": "true" }, s("path", { d: fill === "none" ? "M0 5H26" : "M0.5 10V0.5H25.5V10", fill, stroke, "stroke-width": style.width, "stroke-dasharray": dash.join(" ") || null })));
+  });
+}
+
+const HELD_OUT = "held-out demonstrations";
+
+/** Counts of bins in percent. */
+function shares(counts) {
+  const total = counts.reduce((a, b) => a + b, 0) || 1;
+  return counts.map((count) => (100 * count) / total);
+}
+
+/** The same numbers as a table, of a few bins together; γ is an edge where bins have it as one. */
+function distancesTable() {
+  const MOST = 12;
+  const { low, high, n } = data.histogram;
+  const width = (high - low) / n;
+  const perGamma = gamma / width >= 0.5 && gamma < high ? Math.round(gamma / width) : 1;
+  const parts = Array.from({ length: perGamma }, (_, i) => i + 1).filter((part) => perGamma % part === 0);
+  const together = parts.find((part) => n / part <= MOST) ?? perGamma * Math.ceil(n / perGamma / MOST);
+  const starts = Array.from({ length: Math.ceil(n / together) }, (_, i) => i * together);
+  const edge = (bin) => String(Number((low + width * Math.min(n, bin)).toPrecision(4)));
+  const head = starts.map((start) => (start + together >= n ? `${edge(start)} and more` : `${edge(start)} – ${edge(start + together)}`));
+  const row = (name, counts) => {
+    const all = shares(counts);
+    const sum = (start) => all.slice(start, start + together).reduce((a, b) => a + b, 0);
+    return h("tr", {}, h("th", { scope: "row", class: "name" }, name), ...starts.map((start) => cell(sum(start), `${sum(start).toFixed(1)} %`)));
+  };
+  const rows = groups.map((group) => row(group.label, group.histogram));
+  if (data.held_out) rows.push(row(HELD_OUT, data.held_out.histogram));
+  byId("distances-table").replaceChildren(h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "d/√d"), ...head.map((name) => h("th", { scope: "col" }, name)))), h("tbody", {}, ...rows));
 }
 
 function distancesNote() {
@@ -144,6 +181,6 @@ function distancesNote() {
   byId("distances-note").textContent =
     `Left of the dashed line at γ = ${gamma} a step is saturated: its score is 1. The last bin holds all that lies farther. ` +
     (held
-      ? `Dashed, what “in the data” looks like: ${count(held.n_episodes, "episode")} of the dataset itself (${count(held.n_steps, "step")}, chosen by seed ${held.seed}), each compared with all other episodes: K-Sim ${fixed(held.k_sim)}, mean d/√d ${decimals(held.mean_scaled_distance)}.`
+      ? `Shaded, what “in the data” looks like: ${count(held.n_episodes, "episode")} of the dataset itself (${count(held.n_steps, "step")}, chosen by seed ${held.seed}), each compared with all other episodes: K-Sim ${fixed(held.k_sim)}, mean d/√d ${decimals(held.mean_scaled_distance)}.`
       : data.held_out_missing);
 }

@@ -2,8 +2,11 @@
 
 const MOST_ROWS = 400;
 
-/** Steps of the longest episode. */
-const LONGEST = episodes.reduce((most, episode) => Math.max(most, offset(episode, episode.n - 1) + 1, episode.value("n_steps")), 1);
+/** Length of an episode as its steps are numbered, which may leave out numbers. */
+const lengthOf = (episode) => Math.max(offset(episode, episode.n - 1) + 1, episode.value("n_steps"));
+
+/** That of the longest. */
+const LONGEST = episodes.reduce((most, episode) => Math.max(most, lengthOf(episode)), 1);
 
 /** Steps since the first of an episode. */
 function offset({ group, from }, k) {
@@ -26,7 +29,14 @@ function drawOverview() {
   const columns = Math.min(width, longest);
   let canvas = figure.querySelector("canvas");
   if (!canvas) {
-    canvas = h("canvas", { role: "img", "aria-label": "K-Sim of the steps of all episodes; the list of episodes below has the same" });
+    canvas = h("canvas", { tabindex: 0, role: "group", "aria-label": "K-Sim of the steps of all episodes: up and down choose an episode, left and right a step" });
+    canvas.addEventListener("keydown", (event) => {
+      const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+      if (!by) return walkSteps(event);
+      event.preventDefault();
+      const next = episodes[episodes.indexOf(chosen.episode) + by];
+      if (next) pick(next);
+    });
     figure.append(h("div", { class: "rows" }, canvas), colorBar(SCALES.score));
     canvas.addEventListener("pointermove", overviewHover);
     canvas.addEventListener("pointerleave", () => tip(figure, null));
@@ -70,7 +80,7 @@ const nearestPlace = (episode, steps) => placeOf(episode, steps + (episode.group
 /** A row of colors, up to the end of its longest episode: gaps of thinned steps take the color before them. */
 function paintRow(ctx, lowest, box, row) {
   const columns = lowest.length;
-  const end = row.reduce((most, episode) => Math.max(most, episode.value("n_steps")), 0);
+  const end = row.reduce((most, episode) => Math.max(most, lengthOf(episode)), 0);
   const until = Math.min(columns, Math.ceil((end * columns) / LONGEST));
   const x = (column) => box.left + (column * box.width) / columns;
   const color = (value) => (value === Infinity ? null : colorOf(SCALES.score, value));
@@ -124,7 +134,7 @@ function overviewAt(event) {
 
 function overviewHover(event) {
   const found = overviewAt(event);
-  if (!found || found.step >= found.episode.value("n_steps")) return tip(byId("overview"), null);
+  if (!found || found.step >= lengthOf(found.episode)) return tip(byId("overview"), null);
   const { episode, row } = found;
   const step = stepOf(episode, nearestPlace(episode, found.step));
   const name = row.length === 1 ? `episode ${episode.number}` : `episode ${episode.number}, the lowest of ${row.length} in this row`;
@@ -172,7 +182,7 @@ function drawOutcome() {
   const [low, high] = kind === "success" ? [-0.42, 1.42] : around(values.reduce((a, b) => Math.min(a, b), Infinity), values.reduce((a, b) => Math.max(a, b), -Infinity));
   const x = (value) => left + ((value - lowX) / (highX - lowX)) * (width - left - right);
   const y = (value) => height - bottom - ((value - low) / (high - low)) * (height - bottom - top);
-  const svg = s("svg", { width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `K-Sim of every episode beside its ${OUTCOMES[kind].name}; the list of episodes has the same` });
+  const svg = s("svg", { width, height, viewBox: `0 0 ${width} ${height}`, tabindex: 0, role: "group", "aria-label": `K-Sim of every episode beside its ${OUTCOMES[kind].name}: left and right choose the next lower and higher K-Sim` });
   for (const tick of ticks(lowX, highX, 5)) {
     svg.append(s("line", { x1: x(tick), x2: x(tick), y1: top, y2: height - bottom, stroke: "var(--line)" }), s("text", { x: x(tick), y: height - bottom + 15, "text-anchor": "middle" }, String(tick)));
   }
@@ -187,8 +197,9 @@ function drawOutcome() {
   if (kind !== "success") svg.append(s("text", { x: 13, y: middle, "text-anchor": "middle", transform: `rotate(-90 13 ${middle})` }, OUTCOMES[kind].name));
   for (const group of groups) {
     const own = points.filter((point) => point.episode.group === group);
-    const dots = own.map((point) => `M${x(point.x).toFixed(1)} ${y(point.y).toFixed(1)}h0`).join("");
-    svg.append(s("path", { d: dots, stroke: groupColor(group), "stroke-width": points.length > 500 ? 5 : 9, "stroke-linecap": "round", "stroke-opacity": points.length > 500 ? 0.6 : 0.85, fill: "none", class: "dots" }));
+    const few = points.length <= 500;
+    const dots = own.map((point) => groupShape(group)(x(point.x), y(point.y), few ? 4.2 : 2.6)).join("");
+    svg.append(s("path", { d: dots, fill: groupColor(group), "fill-opacity": few ? 0.85 : 0.6, class: "dots" }));
   }
   const ring = s("circle", { r: 7.5, fill: "none", stroke: "var(--text)", "stroke-width": 2, visibility: "hidden" });
   svg.append(ring);
@@ -203,12 +214,22 @@ function drawOutcome() {
     const near = nearest(figure, event);
     if (near) pick(near.episode);
   });
+  const byKSim = [...points].sort((a, b) => a.x - b.x).map((point) => point.episode);
+  svg.addEventListener("keydown", (event) => {
+    const by = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    if (!by) return;
+    event.preventDefault();
+    const next = byKSim[byKSim.indexOf(chosen.episode) + by];
+    if (next) pick(next);
+  });
   markOutcome();
 }
 
 /** A range with some room, not beyond the limits. */
 function around(low, high, [least, most] = [-Infinity, Infinity]) {
-  const room = high > low ? 0.06 * (high - low) : Math.max(0.05, 0.05 * Math.abs(low));
+  const size = Math.max(Math.abs(low), Math.abs(high));
+  // Numbers that are the same but for rounding have no range of their own.
+  const room = high - low > 1e-9 * size ? 0.06 * (high - low) : Math.max(0.05, 0.05 * size);
   return [Math.max(least, low - room), Math.min(most, high + room)];
 }
 
@@ -237,5 +258,5 @@ function outcomeNote() {
   const kinds = outcomeKinds();
   byId("outcome-by").append(...kinds.map((name) => h("option", { value: name }, OUTCOMES[name].name)));
   byId("outcome-choice").hidden = kinds.length < 2;
-  byId("outcome-note").textContent = kinds[0] === "distance" ? "The files record neither success nor rewards: beside K-Sim stands the mean distance, which does not saturate." : "A dot is an episode. Choose one to see it below.";
+  byId("outcome-note").textContent = kinds[0] === "distance" ? "The files record neither success nor rewards: beside K-Sim stands the mean distance, which does not saturate." : "A mark is an episode. Choose one to see it below.";
 }

@@ -94,11 +94,12 @@ function drawMap() {
   const scale = { ...SCALES[byId("color").value] };
   const points = Array.from({ length: episode.n }, (_, k) => stepOf(episode, k));
   if (byId("color").value === "step") scale.high = Math.max(1, points[points.length - 1].step);
-  const svg = s("svg", { width: frame.width, height: frame.height, viewBox: `0 0 ${frame.width} ${frame.height}`, role: "img", "aria-label": `path of episode ${episode.number}` });
+  const svg = s("svg", { width: frame.width, height: frame.height, viewBox: `0 0 ${frame.width} ${frame.height}`, tabindex: 0, role: "group", "aria-label": `path of episode ${episode.number}: left and right choose a step` });
   svg.append(s("rect", { x: frame.left, y: frame.top, width: frame.right - frame.left, height: frame.bottom - frame.top, fill: "var(--floor)" }), cloud(frame));
   if (data.map.kind === "maze") svg.append(walls(frame));
   svg.append(mapAxes(frame), coloredPath(frame, points, scale));
-  for (const goal of episode.value("goals") ?? []) svg.append(star(frame.x(goal[0]), frame.y(goal[1]), 9));
+  const goals = episode.group.goals?.[episode.place] ?? [];
+  for (const goal of goals) svg.append(star(frame.x(goal[0]), frame.y(goal[1]), goals.length > 12 ? 4 : 9));
   const [x, y] = [frame.x(points[0].at[0]), frame.y(points[0].at[1])];
   svg.append(s("circle", { cx: x, cy: y, r: 4.5, fill: "var(--back)", stroke: "var(--text)", "stroke-width": 1.8 }));
   const link = s("line", { stroke: "var(--text)", "stroke-width": 1.4, "stroke-dasharray": "3 2" });
@@ -117,6 +118,7 @@ function drawMap() {
     tip(figure, best === null ? null : `step ${points[best].step}: K-Sim ${fixed(points[best].score)}`, [px, py]);
   });
   svg.addEventListener("pointerleave", () => tip(figure, null));
+  svg.addEventListener("keydown", walkSteps);
   figure.replaceChildren(svg, colorBar(scale));
   figure.map = { frame, link, match, here };
   markMap();
@@ -135,5 +137,5 @@ function markMap() {
 
 function mapNote() {
   const what = data.map.kind === "maze" ? "The maze from above" : data.map.explained;
-  byId("map-note").textContent = `${what}. Shaded: where the dataset’s steps are. Ring: start${data.map.kind === "maze" ? ", star: goal" : ""}. Disc: the chosen step; square: the demonstration’s step it was matched with.`;
+  byId("map-note").textContent = `${what}. Shaded: where the dataset’s steps are. Ring: start${groups.some((group) => group.goals) ? ", star: goal" : ""}. Disc: the chosen step; square: the demonstration’s step it was matched with.`;
 }

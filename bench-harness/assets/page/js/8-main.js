@@ -50,6 +50,15 @@ function choose(k, from) {
   byId("values").replaceChildren(...rows.flatMap(([name, text]) => [h("dt", {}, name), h("dd", {}, text)]));
 }
 
+/** Arrow keys go from step to step. */
+function walkSteps(event) {
+  const last = chosen.episode.n - 1;
+  const next = { ArrowRight: chosen.k + 1, ArrowLeft: chosen.k - 1, Home: 0, End: last }[event.key];
+  if (next === undefined) return;
+  event.preventDefault();
+  choose(clamp(next, 0, last));
+}
+
 let playing = null;
 
 /** Goes through the steps of the episode; ends at the last. */
@@ -84,6 +93,7 @@ summaryTable();
 overviewNote();
 outcomeNote();
 distancesNote();
+distancesTable();
 mapNote();
 listControls();
 worstTable();

@@ -33,6 +33,8 @@ pub(crate) struct ReportArgs {
     #[arg(long, value_name = "TEXT")]
     title: Option<String>,
     /// Draw paths in the maze of this environment [default: in that of the dataset, if it has one]
+    ///
+    /// Positions are in observation.achieved_goal or info.qpos of dataset and rollouts.
     #[arg(long, value_name = "ID")]
     env: Option<String>,
     #[command(flatten)]
@@ -45,17 +47,23 @@ pub(crate) fn run(args: &ReportArgs, context: &Context) -> Result<CommandOutcome
         output: Some(args.output.clone()),
         ..args.scoring.job(&args.rollouts)?
     };
-    let session = Session::open(&job, context)?;
-    let maze = match &args.env {
+    let asked_for = match &args.env {
         Some(id) => Some(maze_of(&EnvironmentRequest::of_id(id))?),
-        None => registry::for_dataset(session.dataset().info())
-            .ok()
-            .and_then(|found| maze_of(&found.request).ok()),
+        None => None,
+    };
+    let needs_positions = asked_for.is_some();
+    let session = Session::open_checked(&job, context, &|dataset, files| {
+        reporting::check(dataset, files, (&job, needs_positions))
+    })?;
+    let of_dataset = || {
+        let found = registry::for_dataset(session.dataset().info()).ok()?;
+        maze_of(&found.request).ok()
     };
     let request = Request {
         job: &job,
         session: &session,
-        maze,
+        maze: asked_for.or_else(of_dataset),
+        needs_positions,
         context,
     };
     let mut page = reporting::page(&request)?;

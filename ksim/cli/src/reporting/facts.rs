@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 use ksim_datasets::EpisodeRecord;
 
-use crate::novelty::novelties;
+use crate::novelty;
 use crate::scoring::{ScoredRollouts, Session};
 
 /// What is known of the episodes of one group, in their order.
@@ -15,7 +15,7 @@ pub(super) struct Facts {
     pub(super) total_return: Vec<Option<f64>>,
     /// Whether they succeeded.
     pub(super) success: Vec<Option<bool>>,
-    /// Novelty of the plan under way, per row; absent unless it is known of all rows.
+    /// Novelty of the plan under way, per row, NaN where it is not known; absent where it is known of no row.
     pub(super) novelty: Option<Vec<f64>>,
 }
 
@@ -25,8 +25,7 @@ pub(super) fn collect(session: &Session, rollouts: &[ScoredRollouts]) -> Result<
     for file in session.files() {
         let source = &*file.source;
         let records = source.episodes()?;
-        // A column without a single number says nothing, and says so in an error.
-        let novelties = novelties(source, &records).ok();
+        let novelties = novelty::rows(source, &records)?;
         by_file.push(Recorded::new(records, novelties));
     }
     Ok(rollouts
@@ -36,17 +35,17 @@ pub(super) fn collect(session: &Session, rollouts: &[ScoredRollouts]) -> Result<
 }
 
 /// An episode of a file, and the novelty of its steps.
-type Known = (EpisodeRecord, Option<Vec<f64>>);
+type Known = (EpisodeRecord, Vec<Option<f64>>);
 
 /// The episodes of a file by number.
 struct Recorded(BTreeMap<i64, Vec<Known>>);
 
 impl Recorded {
-    fn new(records: Vec<EpisodeRecord>, novelties: Option<Vec<Vec<f64>>>) -> Self {
-        let mut novelties = novelties.map(Vec::into_iter);
+    fn new(records: Vec<EpisodeRecord>, novelties: Option<Vec<Vec<Option<f64>>>>) -> Self {
+        let mut novelties = novelties.unwrap_or_default().into_iter();
         let mut by_number = BTreeMap::<_, Vec<_>>::new();
         for record in records {
-            let novelty = novelties.as_mut().and_then(Iterator::next);
+            let novelty = novelties.next().unwrap_or_default();
             let same = by_number.entry(record.episode_index).or_default();
             same.push((record, novelty));
         }
@@ -63,7 +62,7 @@ impl Recorded {
 
     fn of(&self, rollouts: &ScoredRollouts) -> Facts {
         let mut facts = Facts::default();
-        let mut novelty = Some(Vec::new());
+        let mut novelty = Vec::new();
         for episode in &rollouts.report.episodes {
             let found = self.one(episode.episode_index, episode.n_steps);
             let total = found.and_then(|(record, _)| record.total_return);
@@ -73,15 +72,14 @@ impl Recorded {
             facts
                 .success
                 .push(found.and_then(|(record, _)| record.success));
-            let own = found.and_then(|(_, novelty)| novelty.as_deref());
-            let own = own.filter(|own| own.len() == episode.n_steps);
-            let own = own.filter(|own| own.iter().all(|value| value.is_finite()));
-            match (&mut novelty, own) {
-                (Some(all), Some(own)) => all.extend(own),
-                (all, _) => *all = None,
-            }
+            let own = found.map_or(&[][..], |(_, novelty)| novelty);
+            let known = |step: usize| own.get(step).copied().flatten().unwrap_or(f64::NAN);
+            novelty.extend((0..episode.n_steps).map(known));
         }
-        facts.novelty = novelty;
+        facts.novelty = novelty
+            .iter()
+            .any(|value| value.is_finite())
+            .then_some(novelty);
         facts
     }
 }

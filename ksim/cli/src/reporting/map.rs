@@ -1,23 +1,23 @@
 //! Where steps are drawn: in their maze, or in the main components of the states.
 
-use anyhow::Result;
-use ksim::Trajectories;
-use ksim_bench_harness::page::{Density, Kept, Map, Places, Projection, Scored};
+use std::path::PathBuf;
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use ksim_bench_harness::page::{Density, Goals, Kept, Map, Places, Projection, Scored};
 use ksim_datasets::DatasetSource;
 use ksim_envs::maze::{CELL_SIZE_M, Maze, Tile};
 
 use super::Request;
-use crate::load::{self, Columns};
-use crate::pairing::{self, Listed};
+use crate::pairing::Listed;
+use crate::positions::{self, GOALS, POSITIONS, Pair, Track};
 use crate::scoring::{ScoredRollouts, Session};
 
-/// What the mazes of Gymnasium Robotics observe.
-const POSITION: &str = "achieved_goal";
-const POSITION_AND_GOAL: &str = "achieved_goal,desired_goal";
 /// Share of the dataset beyond the picture of a projection, on each side; the rollouts are always in it.
 const BEYOND: f64 = 0.001;
 /// Room around a projection.
 const ROOM: f64 = 0.03;
+/// Numbers are the same up to this share of them.
+const SAME: f64 = 1e-9;
 /// Height by width of a projection as drawn.
 const RATIO: f64 = 0.72;
 
@@ -25,27 +25,79 @@ const RATIO: f64 = 0.72;
 pub(super) struct Drawn {
     pub(super) map: Map,
     /// What a reader should know of it.
-    pub(super) note: Option<String>,
+    pub(super) notes: Vec<String>,
     /// Per group and row.
     of: Vec<Vec<[f64; 2]>>,
     /// Per row of the dataset.
     of_reference: Vec<[f64; 2]>,
+    /// Per group and episode.
     goals: Option<Vec<Vec<Vec<[f64; 2]>>>>,
 }
 
+/// Why nothing can be drawn in a maze.
+pub(super) struct Fault {
+    /// The file.
+    path: PathBuf,
+    what: String,
+}
+
+impl Fault {
+    fn new(source: &dyn DatasetSource, what: String) -> Self {
+        let path = source.info().path.clone();
+        Self { path, what }
+    }
+
+    /// For whoever ran the command.
+    pub(super) fn in_full(self) -> anyhow::Error {
+        anyhow!("{}: {}", self.path.display(), self.what)
+    }
+
+    /// For the page, which others read.
+    fn for_others(&self) -> String {
+        format!("{}: {}", super::last_part(&self.path), self.what)
+    }
+}
+
+/// Where the positions of a file are: in a column of their own, or where those of the dataset are.
+pub(super) fn position_of(
+    source: &dyn DatasetSource,
+    paired: (&dyn DatasetSource, Listed),
+) -> Result<Pair, Fault> {
+    let own = positions::find(source, &POSITIONS);
+    own.or_else(|| positions::find_paired(source, paired, "achieved_goal"))
+        .ok_or_else(|| {
+            let expected = POSITIONS.join(" or ");
+            let found = source.schema();
+            let names = found.fields().iter().map(|field| field.name().as_str());
+            let found: Vec<&str> = names.collect();
+            let found = found.join(", ");
+            let what = format!("no positions: expected column {expected}, found {found}");
+            Fault::new(source, what)
+        })
+}
+
 impl Drawn {
-    /// Finds the maze of the dataset and the positions in it; where there are none, projects the states.
+    /// Draws in the maze; where there is none, or positions are not known, projects the states.
     pub(super) fn new(
         request: &Request<'_>,
         (scored, kept): (&[Scored<'_>], &[Kept]),
         rollouts: &[ScoredRollouts],
     ) -> Result<Self> {
-        if let Some(maze) = &request.maze
-            && let Some(drawn) = in_maze(maze, request, rollouts)?
-        {
-            return Ok(drawn);
+        let Some(maze) = &request.maze else {
+            return Ok(projected(request.session, scored, kept));
+        };
+        match in_maze(maze, request, rollouts, kept)? {
+            Ok(drawn) => Ok(drawn),
+            Err(fault) if request.needs_positions => Err(fault.in_full()),
+            Err(fault) => {
+                let mut drawn = projected(request.session, scored, kept);
+                drawn.notes.push(format!(
+                    "The dataset has a maze, in which nothing is drawn. {}.",
+                    fault.for_others()
+                ));
+                Ok(drawn)
+            }
         }
-        Ok(projected(request.session, scored, kept))
     }
 
     /// Where the steps of a group lie.
@@ -58,86 +110,142 @@ impl Drawn {
     }
 
     /// Goals of the episodes of a group.
-    pub(super) fn goals(&self, group: usize) -> Option<Vec<Vec<[f64; 2]>>> {
-        Some(self.goals.as_ref()?[group].clone())
+    pub(super) fn goals(&self, group: usize) -> Option<Goals> {
+        let episodes = &self.goals.as_ref()?[group];
+        Some(Goals::new(episodes, [self.map.x, self.map.y]))
     }
 }
 
-/// The columns of a position, and of a goal where there is one.
-fn position_columns(dataset: &dyn DatasetSource) -> Option<Columns> {
-    let wanted = [(POSITION_AND_GOAL, 4), (POSITION, 2)];
-    wanted.into_iter().find_map(|(selection, width)| {
-        let columns = Columns::select(dataset, Some(selection)).ok()?;
-        (columns.indices.len() == width).then_some(columns)
-    })
-}
-
-/// `None` where positions are not known.
 fn in_maze(
     maze: &Maze,
     request: &Request<'_>,
     rollouts: &[ScoredRollouts],
-) -> Result<Option<Drawn>> {
-    let Request {
-        job,
-        session,
-        context,
-        ..
-    } = request;
-    let Some(columns) = position_columns(session.dataset()) else {
-        return Ok(None);
+    kept: &[Kept],
+) -> Result<Result<Drawn, Fault>> {
+    let session = request.session;
+    let listed = Listed::new(&request.job.rollout_options, &request.job.dataset_options);
+    let paired = (session.dataset(), listed);
+    let read = |source: &dyn DatasetSource, by_planner: bool| {
+        Ok::<_, anyhow::Error>(match position_of(source, paired) {
+            Ok(position) => {
+                let goal = positions::find(source, &GOALS);
+                let goal = goal.or_else(|| positions::find_paired(source, paired, "desired_goal"));
+                let tracks = positions::read(source, (&position, goal.as_ref()), by_planner);
+                let path = || source.info().path.display().to_string();
+                Ok((position.column, tracks.with_context(path)?))
+            }
+            Err(fault) => Err(fault),
+        })
     };
-    let listed = Listed::new(&job.rollout_options, &job.dataset_options);
     let mut by_file = Vec::with_capacity(session.files().len());
     for file in session.files() {
-        let own = pairing::columns_of(&*file.source, session.dataset(), &columns, listed);
-        let Ok(own) = own else {
-            return Ok(None); // scored by other columns than these
-        };
-        by_file.push(load::rollouts(&*file.source, &own, context)?);
+        match read(&*file.source, true)? {
+            Ok(found) => by_file.push(found),
+            Err(fault) => return Ok(Err(fault)),
+        }
     }
-    let (reference, _) = load::dataset(session.dataset(), &columns, context)?.into_parts();
-    let trajectories = |one: &ScoredRollouts| &by_file[one.file][one.group].trajectories;
-    let of_reference = points(&reference, 0);
-    let map = maze_map(maze, &of_reference);
-    let has_goals = columns.indices.len() == 4;
-    Ok(Some(Drawn {
-        map,
-        note: None,
-        of: rollouts
+    let (column, mut tracks) = match read(session.dataset(), false)? {
+        Ok(found) => found,
+        Err(fault) => return Ok(Err(fault)),
+    };
+    let reference = tracks.remove(&None).unwrap_or_default();
+    let n_rows = session.ksim().n_reference_steps();
+    let place = |row: usize| {
+        let (episode, position) = session.ksim().reference_step(row as u32);
+        (episode, session.reference_numbers().number(row, position))
+    };
+    if let Some(fault) = fault(
+        session.dataset(),
+        (&column, &reference.positions),
+        n_rows,
+        &place,
+    )? {
+        return Ok(Err(fault));
+    }
+    let mut drawn = Drawn {
+        map: maze_map(maze, &reference.positions),
+        notes: Vec::new(),
+        of: Vec::with_capacity(rollouts.len()),
+        of_reference: reference.positions,
+        goals: None,
+    };
+    let mut goals = Vec::with_capacity(rollouts.len());
+    let mut n_without = 0;
+    for (one, kept) in rollouts.iter().zip(kept) {
+        let source = &*session.files()[one.file].source;
+        let (column, tracks) = &mut by_file[one.file];
+        let track = tracks.remove(&one.steps.planner).unwrap_or_default();
+        let place = |row: usize| step(one, row);
+        let n_rows = one.steps.trajectories.n_rows();
+        if let Some(fault) = fault(source, (column, &track.positions), n_rows, &place)? {
+            return Ok(Err(fault));
+        }
+        let own = goals_of(&track, kept);
+        let has_goals = !track.goals.is_empty();
+        n_without += own
             .iter()
-            .map(|one| points(trajectories(one), 0))
-            .collect(),
-        of_reference,
-        goals: has_goals.then(|| {
-            rollouts
-                .iter()
-                .map(|one| goals(trajectories(one)))
-                .collect()
-        }),
+            .filter(|goals| has_goals && goals.is_empty())
+            .count();
+        goals.push(own);
+        drawn.of.push(track.positions);
+    }
+    if n_without > 0 {
+        drawn.notes.push(format!(
+            "Goals are missing of {n_without} episodes: the files hold no finite numbers for them."
+        ));
+    }
+    let any = goals.iter().flatten().any(|goals| !goals.is_empty());
+    drawn.goals = any.then_some(goals);
+    Ok(Ok(drawn))
+}
+
+/// Episode and step number of a row of rollouts.
+fn step(one: &ScoredRollouts, row: usize) -> (i64, i64) {
+    let mut episodes = one.steps.trajectories.episodes().iter();
+    let episode = episodes.find(|episode| episode.rows.contains(&row));
+    episode.map_or((0, row as i64), |episode| {
+        let number = one.steps.number(row, row - episode.rows.start);
+        (episode.episode_index, number)
+    })
+}
+
+/// A step without a position, if there is one.
+fn fault(
+    source: &dyn DatasetSource,
+    (column, positions): (&str, &[[f64; 2]]),
+    n_rows: usize,
+    place: &dyn Fn(usize) -> (i64, i64),
+) -> Result<Option<Fault>> {
+    if positions.len() != n_rows {
+        bail!(
+            "{}: column \"{column}\" has {} steps, expected {n_rows} as in the states",
+            source.info().path.display(),
+            positions.len()
+        );
+    }
+    let is_missing = |at: &[f64; 2]| at.iter().any(|value| !value.is_finite());
+    Ok(positions.iter().position(is_missing).map(|row| {
+        let (episode, number) = place(row);
+        let what = format!(
+            "episode {episode}, step {number}: column \"{column}\" holds {:?}, expected finite positions",
+            positions[row]
+        );
+        Fault::new(source, what)
     }))
 }
 
-/// Two columns of all rows.
-fn points(trajectories: &Trajectories, first: usize) -> Vec<[f64; 2]> {
-    let states = trajectories.states();
-    (0..states.n_rows())
-        .map(|row| [states.value(row, first), states.value(row, first + 1)])
-        .collect()
-}
-
-/// The goals of every episode that has steps, in the order in which it had them.
-fn goals(trajectories: &Trajectories) -> Vec<Vec<[f64; 2]>> {
-    let all = points(trajectories, 2);
-    let episodes = trajectories.episodes().iter();
-    let episodes = episodes.filter(|episode| !episode.rows.is_empty());
-    episodes
-        .map(|episode| {
-            let mut goals = all[episode.rows.clone()].to_vec();
-            goals.dedup();
-            goals
-        })
-        .collect()
+/// The goals of every episode in the order in which it had them: those of the steps on the page, which are as many
+/// at most.
+fn goals_of(track: &Track, kept: &Kept) -> Vec<Vec<[f64; 2]>> {
+    let of_episode = |rows: &[usize]| {
+        let goals = rows.iter().filter_map(|row| track.goals.get(*row).copied());
+        let mut goals: Vec<[f64; 2]> = goals
+            .filter(|goal| goal.iter().all(|value| value.is_finite()))
+            .collect();
+        goals.dedup();
+        goals
+    };
+    kept.by_episode().map(of_episode).collect()
 }
 
 fn maze_map(maze: &Maze, of_reference: &[[f64; 2]]) -> Map {
@@ -215,10 +323,10 @@ fn projected(session: &Session, scored: &[Scored<'_>], kept: &[Kept]) -> Drawn {
             explained: projection.explain(session.state_names()),
             density: Density::new(of_reference.iter().copied(), ranges, RATIO),
         },
-        note: Some(format!(
+        notes: vec![format!(
             "The picture of states leaves out the outermost {} % of the dataset on each side.",
             100.0 * BEYOND
-        )),
+        )],
         of,
         of_reference,
         goals: None,
@@ -237,7 +345,8 @@ fn range(mut all: Vec<f64>, shown: impl Iterator<Item = f64>) -> [f64; 2] {
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
             (low.min(value), high.max(value))
         });
-    match high > low {
+    // States that are the same but for rounding have no range of their own.
+    match high - low > SAME * low.abs().max(high.abs()) {
         true => [low - ROOM * (high - low), high + ROOM * (high - low)],
         false => [low - 1.0, low + 1.0],
     }
@@ -254,5 +363,7 @@ mod tests {
         let [low, high] = range(all, [-50.0].into_iter());
         assert!((-120.0..-50.0).contains(&low) && (1990.0..2100.0).contains(&high));
         assert_eq!(range(vec![3.0; 4], [3.0].into_iter()), [2.0, 4.0]);
+        let [low, high] = range(vec![3.0; 4], [3.0f64.next_up()].into_iter());
+        assert!(low <= 2.0 && high >= 4.0, "{low} {high}");
     }
 }

@@ -8,17 +8,19 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use ksim_bench_harness::figure::Palettes;
 use ksim_bench_harness::page::{
-    EpisodeFacts, Group, HeldOut, HeldOutPart, Histogram, Kept, MAX_EPISODES, Page, ReferencePart,
-    Scored, StepColumns, stride, worst,
+    EpisodeFacts, Goals, Group, HeldOut, HeldOutPart, Histogram, Kept, MAX_EPISODES, Page,
+    ReferencePart, Scored, StepColumns, stride, worst,
 };
+use ksim_datasets::DatasetSource;
 use ksim_envs::maze::Maze;
 use serde_json::Value;
 
 use self::facts::Facts;
-use self::map::Drawn;
+use self::map::{Drawn, Fault};
 use crate::context::Context;
-use crate::document::{DatasetPart, Document, RolloutResult};
-use crate::scoring::{Job, ScoredRollouts, Session};
+use crate::document::{DatasetPart, Document};
+use crate::pairing::Listed;
+use crate::scoring::{Job, RolloutFile, ScoredRollouts, Session};
 use crate::table;
 
 /// What a page is made of.
@@ -29,16 +31,55 @@ pub(crate) struct Request<'a> {
     pub(crate) session: &'a Session,
     /// The maze that the rollouts went through.
     pub(crate) maze: Option<Maze>,
+    /// Whether it was asked for, so that it is an error if nothing can be drawn in it.
+    pub(crate) needs_positions: bool,
     /// Progress.
     pub(crate) context: &'a Context,
+}
+
+/// Whether a page can hold what was opened, before anything is read: its episodes, and positions if they are needed.
+pub(crate) fn check(
+    dataset: &dyn DatasetSource,
+    files: &[RolloutFile],
+    (job, needs_positions): (&Job, bool),
+) -> Result<()> {
+    if needs_positions {
+        let listed = Listed::new(&job.rollout_options, &job.dataset_options);
+        let sources = files.iter().map(|file| &*file.source).chain([dataset]);
+        for source in sources {
+            map::position_of(source, (dataset, listed)).map_err(Fault::in_full)?;
+        }
+    }
+    let mut n_episodes = 0;
+    for file in files {
+        n_episodes += match file.source.info().n_episodes {
+            Some(n_episodes) => usize::try_from(n_episodes)?,
+            None => file.source.episodes()?.len(),
+        };
+        if n_episodes > MAX_EPISODES {
+            bail!(
+                "{}: with it there are {n_episodes} episodes, a page holds {MAX_EPISODES}: take fewer, \
+                 such as by `ksim convert --episodes`",
+                file.name
+            );
+        }
+    }
+    Ok(())
 }
 
 /// Collects everything that the page shows.
 ///
 /// # Errors
-/// More episodes than a page holds; what the readers and the engine object to.
+/// Step numbers that a page cannot hold; what the readers and the engine object to.
 pub(crate) fn page(request: &Request<'_>) -> Result<Page> {
     let session = request.session;
+    let numbers = session.reference_numbers().values().unwrap_or_default();
+    if let Some(number) = numbers.iter().find(|number| is_too_large(**number)) {
+        bail!(
+            "{}: a step has number {number}, {EXPECTED_NUMBERS}",
+            session.dataset().info().path.display()
+        );
+    }
     let (rollouts, document) = score(request)?;
     let reference_number =
         |row: usize, position: usize| session.reference_numbers().number(row, position);
@@ -60,19 +101,30 @@ pub(crate) fn page(request: &Request<'_>) -> Result<Page> {
     assemble(request, &rollouts, &scored, &document)
 }
 
+/// Scripts count in doubles, and charts need room between two numbers.
+const MAX_STEP_NUMBER: u64 = 1_000_000_000_000_000;
+const EXPECTED_NUMBERS: &str = "a page holds numbers up to 10^15";
+
+fn is_too_large(number: i64) -> bool {
+    number.unsigned_abs() > MAX_STEP_NUMBER
+}
+
 /// Scores all rollouts, and names the dataset for others to read.
 fn score(request: &Request<'_>) -> Result<(Vec<ScoredRollouts>, Document)> {
     let session = request.session;
     let mut rollouts: Vec<ScoredRollouts> = Vec::new();
-    let mut n_episodes = 0;
     let results = session.score(request.job, request.context, &mut |scored| {
-        n_episodes += scored.report.episodes.len();
-        if n_episodes > MAX_EPISODES {
-            bail!(
-                "{}: with it there are {n_episodes} episodes, a page holds {MAX_EPISODES}: take fewer, \
-                 such as by `ksim convert --episodes`",
-                session.files()[scored.file].name
-            );
+        for episode in scored.steps.trajectories.episodes() {
+            let mut rows = episode.rows.clone();
+            let number = |row: usize| scored.steps.number(row, row - episode.rows.start);
+            if let Some(row) = rows.find(|row| is_too_large(number(*row))) {
+                bail!(
+                    "{}: episode {}: a step has number {}, {EXPECTED_NUMBERS}",
+                    session.files()[scored.file].name,
+                    episode.episode_index,
+                    number(row)
+                );
+            }
         }
         rollouts.push(scored);
         Ok(())
@@ -103,7 +155,7 @@ fn assemble(
         .spinner("holding out demonstrations".to_owned());
     let held_out = HeldOut::score(session.ksim(), job.settings.seed);
     drop(working);
-    let histogram = histogram(scored, held_out.as_ref().ok());
+    let histogram = histogram(scored, held_out.as_ref().ok(), job.settings.gamma);
     let mut reference = ReferencePart::default();
     let group = |(place, one): (usize, &Scored<'_>)| {
         let novelty = facts[place].novelty.as_deref();
@@ -117,11 +169,11 @@ fn assemble(
     };
     let groups = scored.iter().enumerate().map(group).collect();
     let mut notes = notes(lengths.iter().sum(), stride);
-    notes.extend(drawn.note.clone());
+    notes.extend(drawn.notes.iter().cloned());
     Ok(Page {
         format: Page::FORMAT,
         title: title(&labels, &document.dataset.name),
-        document: stripped(document)?,
+        document: stripped(document, session)?,
         groups,
         histogram,
         held_out_missing: match &held_out {
@@ -148,10 +200,10 @@ fn distances<'a>(scored: &'a Scored<'_>) -> impl Iterator<Item = f64> + 'a {
         .map(|step| scored.scaled(step)[0])
 }
 
-fn histogram(scored: &[Scored<'_>], held_out: Option<&HeldOut>) -> Histogram {
+fn histogram(scored: &[Scored<'_>], held_out: Option<&HeldOut>, gamma: f64) -> Histogram {
     let held = held_out.into_iter().flat_map(|held| &held.report.steps);
     let held = held.map(|step| scored[0].scaled(step)[0]);
-    Histogram::covering(scored.iter().flat_map(distances).chain(held))
+    Histogram::with_border(scored.iter().flat_map(distances).chain(held), gamma)
 }
 
 fn held_out_part(
@@ -171,7 +223,7 @@ fn held_out_part(
     }
 }
 
-fn episodes(scored: &Scored<'_>, facts: &Facts, goals: Option<Vec<Vec<[f64; 2]>>>) -> EpisodeFacts {
+fn episodes(scored: &Scored<'_>, facts: &Facts, goals: Option<Goals>) -> EpisodeFacts {
     let all = &scored.report.episodes;
     EpisodeFacts {
         episode_index: all.iter().map(|one| one.episode_index).collect(),
@@ -210,36 +262,63 @@ fn title(labels: &[String], dataset: &str) -> String {
 fn without_folder(dataset: &DatasetPart) -> String {
     let name = &dataset.name;
     let is_path = *name == dataset.path || name.starts_with(['/', '.', '~']);
-    let last = Path::new(name).file_name().filter(|_| is_path);
-    last.map_or_else(|| name.clone(), |last| last.to_string_lossy().into_owned())
+    match is_path {
+        true => last_part(Path::new(name)),
+        false => name.clone(),
+    }
 }
 
 /// The document without what is elsewhere on the page, what differs from run to run, and places on the machine.
-fn stripped(document: &Document) -> Result<Value> {
-    let results: Vec<RolloutResult> = document.results.clone();
-    let mut value = serde_json::to_value(Document {
-        results: Vec::new(),
-        ..document.clone()
-    })?;
-    let mut stripped = Vec::with_capacity(results.len());
-    for mut result in results {
-        result.episodes.clear();
-        let mut result = serde_json::to_value(result)?;
-        if let Some(fields) = result.as_object_mut() {
-            fields.retain(|name, _| !["file", "episodes", "elapsed_s"].contains(&name.as_str()));
+fn stripped(document: &Document, session: &Session) -> Result<Value> {
+    let mut value = serde_json::to_value(document)?;
+    let sources = session.files().iter().map(|file| &*file.source);
+    let sources = sources.chain([session.dataset()]);
+    let mut paths: Vec<&Path> = sources.map(|source| &*source.info().path).collect();
+    // The folder of one may be a part of another.
+    paths.sort_by_key(|path| std::cmp::Reverse(path.as_os_str().len()));
+    remove(&mut value, &["threads", "elapsed_s"]);
+    for (part, names) in [("dataset", &["path"]), ("search", &["index"])] {
+        if let Some(part) = value.get_mut(part) {
+            remove(part, names);
         }
-        stripped.push(result);
     }
-    if let Some(fields) = value.as_object_mut() {
-        fields.retain(|name, _| !["threads", "elapsed_s"].contains(&name.as_str()));
-        fields.insert("results".to_owned(), Value::Array(stripped));
+    if let Some(Value::String(file)) = value.pointer_mut("/search/clusters/centers_file") {
+        *file = last_part(Path::new(file));
     }
-    for (part, field) in [("dataset", "path"), ("search", "index")] {
-        if let Some(fields) = value.get_mut(part).and_then(Value::as_object_mut) {
-            fields.retain(|name, _| name != field);
+    if let Some(texts) = value.pointer_mut("/dataset/warnings") {
+        without_folders(texts, &paths);
+    }
+    let results = value.get_mut("results").and_then(Value::as_array_mut);
+    for result in results.into_iter().flatten() {
+        remove(result, &["file", "episodes", "elapsed_s"]);
+        if let Some(texts) = result.get_mut("warnings") {
+            without_folders(texts, &paths);
         }
     }
     Ok(value)
+}
+
+fn remove(part: &mut Value, names: &[&str]) {
+    if let Some(fields) = part.as_object_mut() {
+        fields.retain(|name, _| !names.contains(&name.as_str()));
+    }
+}
+
+/// Texts in which files are named without where they lie.
+fn without_folders(texts: &mut Value, paths: &[&Path]) {
+    for text in texts.as_array_mut().into_iter().flatten() {
+        if let Value::String(text) = text {
+            for path in paths {
+                *text = text.replace(&*path.to_string_lossy(), &last_part(path));
+            }
+        }
+    }
+}
+
+/// The name of a file without its folder.
+fn last_part(path: &Path) -> String {
+    let last = path.file_name().unwrap_or(path.as_os_str());
+    last.to_string_lossy().into_owned()
 }
 
 fn notes(n_steps: usize, stride: usize) -> Vec<String> {
@@ -256,4 +335,20 @@ fn notes(n_steps: usize, stride: usize) -> Vec<String> {
         ));
     }
     notes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_name_files_without_where_they_lie() {
+        let mut texts = serde_json::json!(["lost: /home/u/set/data/1.parquet: damaged", "other"]);
+        let paths = ["/home/u/set", "rollouts"].map(Path::new);
+        without_folders(&mut texts, &paths);
+        assert_eq!(
+            texts,
+            serde_json::json!(["lost: set/data/1.parquet: damaged", "other"])
+        );
+    }
 }

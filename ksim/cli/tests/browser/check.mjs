@@ -1,6 +1,7 @@
 // Opens pages of `ksim report` in a headless browser and uses them: node check.mjs FOLDER
 //
-// FOLDER holds pages (NAME.html) and beside each what `ksim score --format json` says of the same rollouts (NAME.json).
+// FOLDER holds pages (NAME.html) and beside each what `ksim score --format json` says of the same rollouts (NAME.json),
+// with columns of `--per-step` as its field "steps".
 // CHROMIUM is the browser, SCREENSHOTS a folder for pictures of every page.
 import assert from "node:assert/strict";
 import fs from "node:fs";
@@ -21,7 +22,10 @@ const browser = await chromium.launch({
 async function tab(options = {}) {
   const page = await browser.newPage({ viewport: { width: 1280, height: 900 }, ...options });
   page.faults = [];
-  page.on("console", (message) => page.faults.push(`console ${message.type()}: ${message.text()}`));
+  page.on("console", (message) => {
+    // The check itself looks at canvases.
+    if (!message.text().includes("willReadFrequently")) page.faults.push(`console ${message.type()}: ${message.text()}`);
+  });
   page.on("pageerror", (error) => page.faults.push(`error: ${error.stack}`));
   page.on("dialog", (dialog) => page.faults.push(`dialog: ${dialog.message()}`));
   await page.route("**", (route) => {
@@ -44,20 +48,65 @@ async function open(page, file) {
 
 const text = (page, selector) => page.locator(selector).textContent();
 
-/** Whether a canvas has more than one color on it. */
-const isDrawn = (page, selector) =>
-  page.locator(selector).first().evaluate((canvas) => {
+/** How many pixels of each row of a canvas have about a color, such as "#0072b2". Axes and text are gray. */
+const pixelRows = (page, selector, color) =>
+  page.locator(selector).first().evaluate((canvas, color) => {
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-    const seen = new Set();
-    for (let i = 0; i < data.length && seen.size < 3; i += 4) seen.add((data[i] << 16) | (data[i + 1] << 8) | data[i + 2] | (data[i + 3] << 24));
-    return seen.size > 2;
-  });
+    const [r, g, b] = [1, 3, 5].map((at) => parseInt(color.slice(at, at + 2), 16));
+    const rows = new Array(canvas.height).fill(0);
+    for (let i = 0; i < data.length; i += 4) {
+      const away = Math.max(Math.abs(data[i] - r), Math.abs(data[i + 1] - g), Math.abs(data[i + 2] - b));
+      if (data[i + 3] > 90 && away < 16) rows[Math.floor(i / 4 / canvas.width)]++;
+    }
+    return rows;
+  }, color);
 
-async function figuresAreThere(page) {
-  for (const canvas of ["#overview canvas", "#timeline canvas", "#distances canvas"]) {
-    assert.ok(await isDrawn(page, canvas), `${canvas} is empty`);
+const pixels = async (page, selector, color) => (await pixelRows(page, selector, color)).reduce((a, b) => a + b, 0);
+
+/** Color of the rollouts at a place. */
+const groupColor = (page, place) => page.evaluate((place) => getComputedStyle(document.documentElement).getPropertyValue(`--g${place % 6}`).trim(), place);
+
+const dataOf = (page) => page.evaluate(() => JSON.parse(document.getElementById("data").textContent));
+
+/** Which rollouts the chosen episode is of, and its number. */
+async function picked(page, groups) {
+  const [, label, number] = (await text(page, "#picked")).match(/^(.*), episode (-?\d+): K-Sim/s);
+  return [groups.findIndex((group) => group.label === label), number];
+}
+
+/** Series are in their own colors, not only axes. */
+async function canvasesAreDrawn(page) {
+  const { groups, palettes } = await dataOf(page);
+  const painted = await Promise.all(palettes.k_sim.map((color) => pixels(page, "#overview canvas", color)));
+  assert.ok(Math.max(...painted) > 20, "#overview has no row");
+  const [place] = await picked(page, groups);
+  assert.ok((await pixels(page, "#timeline canvas", await groupColor(page, place))) > 5, "#timeline has no line");
+  for (const place of groups.keys()) {
+    assert.ok((await pixels(page, "#distances canvas", await groupColor(page, place))) > 5, `#distances has no line ${place}`);
   }
-  assert.match(await page.locator("#outcome .dots").first().getAttribute("d"), /^M[\d.]+ [\d.]+h0/);
+}
+
+async function figuresAreThere(page, document) {
+  await canvasesAreDrawn(page);
+  const { groups } = await dataOf(page);
+  const marks = await page.locator("#outcome .dots").evaluateAll((paths) => paths.map((path) => path.getAttribute("d").split("M").length - 1));
+  assert.deepEqual(marks, document.results.map((result) => result.n_episodes));
+  // Rows are as long as their episodes: the farther end has color, too.
+  const ends = await page.locator("#overview canvas").evaluate((canvas) => {
+    const ratio = canvas.width / canvas.clientWidth;
+    const alpha = (x) => canvas.getContext("2d").getImageData(Math.round(x * ratio), Math.round(2 * ratio), 1, 1).data[3];
+    return [alpha(112), alpha(canvas.clientWidth - 3)];
+  });
+  const steps = groups[0].steps;
+  assert.ok(ends[0] === 255 && (steps.n.some((n) => n !== steps.n[0]) || ends[1] === 255), "a row ends early");
+  // What lies beyond the last edge is in a bin as wide as any.
+  const counts = groups[0].histogram;
+  if (groups.length === 1 && Math.max(...counts) === counts[counts.length - 1]) {
+    const rows = await pixelRows(page, "#distances canvas", await groupColor(page, 0));
+    const top = rows.findIndex((n) => n > 0);
+    assert.ok(Math.max(...rows.slice(top, top + 3)) > 4, "the last bin has no width");
+  }
+  assert.match(await page.locator("#distances-table thead th").last().textContent(), /and more$/);
   assert.match(await page.locator("#map .path").getAttribute("d"), /^M[\d.]+ [\d.]+/);
   assert.ok((await page.locator("#worst tbody tr").count()) > 0);
 }
@@ -81,6 +130,63 @@ async function numbersAreThose(page, document) {
     assert.deepEqual(row, [episode.n_steps, episode.k_sim, episode.saturated_share].map(String));
   });
   assert.ok((await text(page, "#provenance")).includes(document.fingerprint));
+}
+
+/** Every episode with its rows of the evidence. */
+function rowsOf(document) {
+  let start = 0;
+  return document.results.flatMap((result, group) =>
+    result.episodes.map((episode) => {
+      const from = start;
+      start += episode.n_steps;
+      return { group, episode, from, until: start };
+    }),
+  );
+}
+
+const near = (shown, expected, what) => assert.ok(Math.abs(Number(shown) - expected) <= 1.01e-4 * Math.max(1, Math.abs(expected)), `${what} is ${shown}, expected ${expected}`);
+
+/** The chosen step and the worst steps have the numbers of the evidence. */
+async function stepsAreThose(page, document) {
+  const { steps, parameters } = document;
+  const { groups } = await dataOf(page);
+  const [states, actions] = [parameters.state_dim, parameters.action_dim];
+  const all = rowsOf(document);
+  const range = page.locator("#step");
+  await range.focus();
+  for (const key of ["Home", "ArrowRight", "End"]) {
+    await page.keyboard.press(key);
+    const values = await page.locator("#values dd").allTextContents();
+    const [place, number] = await picked(page, groups);
+    const { from, until } = all.find(({ group, episode }) => group === place && String(episode.episode_index) === number);
+    const row = from + steps.step_index.slice(from, until).indexOf(Number(values[0]));
+    assert.ok(row >= from, `step ${values[0]} is there`);
+    const [kSim, note] = values[1].split(" (");
+    near(kSim, steps.score[row], "K-Sim");
+    assert.equal(note === "saturated)", steps.score[row] === 1);
+    const scaled = [steps.distance[row] / Math.sqrt(states + actions), steps.state_distance[row] / Math.sqrt(states), steps.action_distance[row] / Math.sqrt(actions)];
+    near(values[2], Math.min(1, parameters.gamma / scaled[1]), "the state part");
+    near(values[3], Math.min(1, parameters.gamma / scaled[2]), "the action part");
+    scaled.forEach((distance, i) => near(values[4 + i], distance, "d/√d"));
+    assert.equal(values[7], `episode ${steps.reference_episode_index[row]}, step ${steps.reference_step_index[row]}`);
+  }
+  const farthest = all.map(({ group, episode, from, until }) => {
+    let row = from;
+    for (let i = from + 1; i < until; i++) if (steps.distance[i] > steps.distance[row]) row = i;
+    return { group, episode, row };
+  });
+  farthest.sort((a, b) => steps.distance[b.row] - steps.distance[a.row]);
+  const shown = await page.locator("#worst tbody tr").evaluateAll((rows) => rows.map((row) => [...row.cells].slice(1, 8).map((cell) => cell.dataset.value ?? cell.textContent)));
+  const expected = farthest.slice(0, 20).map(({ episode, row }) => [
+    String(episode.episode_index),
+    String(steps.step_index[row]),
+    String(steps.score[row]),
+    String(steps.distance[row] / Math.sqrt(states + actions)),
+    String(steps.state_distance[row] / Math.sqrt(states)),
+    String(steps.action_distance[row] / Math.sqrt(actions)),
+    `episode ${steps.reference_episode_index[row]}, step ${steps.reference_step_index[row]}`,
+  ]);
+  assert.deepEqual(shown, expected);
 }
 
 const isHidden = (page, figure) => page.locator(`${figure} > .tip`).evaluate((tip) => tip.hidden);
@@ -140,7 +246,11 @@ async function pickingLinksFigureAndTable(page) {
     const rows = page.locator("#overview canvas");
     await rows.scrollIntoViewIfNeeded();
     await rows.click({ position: { x: 150, y: 2 } });
-    assert.notEqual(await text(page, "#picked"), before[0]);
+    const { groups } = await dataOf(page);
+    const [place, chosen] = await picked(page, groups);
+    const all = groups.reduce((sum, group) => sum + group.episodes.n_steps.length, 0);
+    // Beyond 400 episodes a row has several.
+    assert.ok(place === 0 && (all > 400 || chosen === String(groups[0].episodes.episode_index[0])), `the first row is episode ${chosen}`);
   }
   const worst = page.locator("#worst tbody button").last();
   await worst.click();
@@ -171,6 +281,42 @@ async function keysAreEnough(page) {
     const start = await page.locator("#values dd").first().textContent();
     await page.keyboard.press("ArrowRight");
     assert.notEqual(await page.locator("#values dd").first().textContent(), start);
+    await page.locator("#map > svg").focus();
+    await page.keyboard.press("Home");
+    assert.equal(await page.locator("#values dd").first().textContent(), start, "the map takes keys");
+  }
+  if ((await page.locator("#episode-list tbody button").count()) > 1) {
+    for (const [figure, keys] of [["#overview canvas", ["ArrowDown", "ArrowUp"]], ["#outcome > svg", ["ArrowRight", "ArrowLeft"]]]) {
+      await page.locator(figure).focus();
+      const before = await text(page, "#picked");
+      await page.keyboard.press(keys[0]);
+      // At the last episode it goes the other way.
+      if ((await text(page, "#picked")) === before) await page.keyboard.press(keys[1]);
+      assert.notEqual(await text(page, "#picked"), before, `${figure} takes keys`);
+    }
+  }
+}
+
+/** Colors of rollouts differ for every color vision (Machado et al., 2009: severe; CIE 1976). */
+async function colorsAreToldApart(page) {
+  const colors = await page.evaluate(() => ["g0", "g1", "g2", "g3", "g4", "g5", "data"].map((name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim()));
+  const VISIONS = [
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]],
+    [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.3039]],
+  ];
+  const times = (matrix, vector) => matrix.map((row) => row.reduce((sum, value, i) => sum + value * vector[i], 0));
+  const linear = (color) => [1, 3, 5].map((at) => parseInt(color.slice(at, at + 2), 16) / 255).map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4));
+  const lab = (rgb) => {
+    const root = (t) => (t > 0.008856 ? Math.cbrt(t) : 7.787 * t + 16 / 116);
+    const xyz = times([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]], rgb.map((c) => Math.min(1, Math.max(0, c))));
+    const [x, y, z] = [xyz[0] / 0.95047, xyz[1], xyz[2] / 1.08883].map(root);
+    return [116 * y - 16, 500 * (x - y), 200 * (y - z)];
+  };
+  for (const vision of VISIONS) {
+    const seen = colors.map((color) => lab(times(vision, linear(color))));
+    seen.forEach((a, i) => seen.slice(0, i).forEach((b, j) => assert.ok(Math.hypot(...a.map((value, k) => value - b[k])) > 15, `${colors[j]} and ${colors[i]} look alike`)));
   }
 }
 
@@ -180,11 +326,27 @@ async function darkAndPaper(page, file) {
   await page.emulateMedia({ colorScheme: "dark" });
   await page.waitForTimeout(100);
   assert.notEqual(await back(), light);
-  assert.ok(await isDrawn(page, "#timeline canvas"));
+  await canvasesAreDrawn(page);
+  await colorsAreToldApart(page);
   if (process.env.SCREENSHOTS) await page.screenshot({ path: path.join(process.env.SCREENSHOTS, `${path.basename(file, ".html")}-dark.png`), fullPage: true });
-  await page.evaluate(() => dispatchEvent(new Event("beforeprint")));
+  const size = page.viewportSize();
+  await page.emulateMedia({ media: "print", colorScheme: "dark" });
+  await page.setViewportSize({ width: 720, height: 1000 });
+  await page.waitForTimeout(100);
   assert.equal(await back(), "rgb(255, 255, 255)", "paper is light");
-  await page.evaluate(() => dispatchEvent(new Event("afterprint")));
+  await canvasesAreDrawn(page);
+  await colorsAreToldApart(page);
+  const [edge, stretched] = await page.locator("#overview canvas").evaluate((canvas) => [canvas.getBoundingClientRect().right, canvas.width / canvas.clientWidth / (canvas.height / canvas.clientHeight)]);
+  assert.ok(edge <= 720 && Math.abs(stretched - 1) < 0.02, `the overview ends at ${edge}, stretched by ${stretched}`);
+  await isAsWideAsTheWindow(page);
+  if (process.env.SCREENSHOTS) await page.screenshot({ path: path.join(process.env.SCREENSHOTS, `${path.basename(file, ".html")}-print.png`), fullPage: true });
+  await page.emulateMedia({ media: "screen", colorScheme: "dark" });
+  await page.setViewportSize(size);
+  // The real thing: the page is as it was afterwards.
+  const paper = await page.pdf({ width: "720px", height: "1000px", margin: { top: "10px", bottom: "10px", left: "10px", right: "10px" } });
+  assert.ok(paper.length > 20_000);
+  if (process.env.SCREENSHOTS) fs.writeFileSync(path.join(process.env.SCREENSHOTS, `${path.basename(file, ".html")}.pdf`), paper);
+  assert.notEqual(await back(), light, "after printing it is dark again");
   await page.emulateMedia({ colorScheme: "light" });
 }
 
@@ -223,8 +385,10 @@ for (const name of pages) {
     const took = await opensInTime(file);
     await open(page, file);
     if (process.env.SCREENSHOTS) await page.screenshot({ path: path.join(process.env.SCREENSHOTS, `${path.basename(file, ".html")}-light.png`), fullPage: true });
-    await figuresAreThere(page);
+    await figuresAreThere(page, document);
+    await colorsAreToldApart(page);
     await numbersAreThose(page, document);
+    await stepsAreThose(page, document);
     await hoveringShowsValues(page);
     await pickingLinksFigureAndTable(page);
     await keysAreEnough(page);

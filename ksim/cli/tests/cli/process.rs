@@ -212,7 +212,7 @@ pub(crate) fn list(width: usize, values: &[f32]) -> ArrayRef {
 pub(crate) fn write_parquet(path: impl AsRef<Path>, columns: Vec<(&str, ArrayRef)>) {
     let fields: Vec<Field> = columns
         .iter()
-        .map(|(name, array)| Field::new(*name, array.data_type().clone(), false))
+        .map(|(name, array)| Field::new(*name, array.data_type().clone(), array.null_count() > 0))
         .collect();
     let schema = Arc::new(Schema::new(fields));
     let arrays = columns.into_iter().map(|(_, array)| array).collect();

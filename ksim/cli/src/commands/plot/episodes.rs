@@ -1,15 +1,12 @@
 //! Positions and goals of episodes.
 
 use anyhow::{Context as _, Result, bail};
-use arrow::array::{Array, AsArray, RecordBatch};
-use arrow::datatypes::{DataType, Float64Type, Int64Type};
+use arrow::array::{AsArray, RecordBatch};
+use arrow::datatypes::{DataType, Int64Type};
 use ksim_bench_harness::figure::paths::EpisodePath;
 use ksim_datasets::{DatasetSource, EpisodeRecord, Scan, schema};
 
-/// Where positions are looked for: the first that is there. Of a simulator's state, the first two are x and y.
-const POSITIONS: [&str; 2] = ["observation.achieved_goal", "info.qpos"];
-/// Where goals are.
-const GOALS: [&str; 2] = ["observation.desired_goal", "info.goal"];
+use crate::positions::{GOALS, POSITIONS, points};
 
 /// Reads the paths of some episodes.
 ///
@@ -105,28 +102,6 @@ impl Rows {
             successes: success.map(flags).transpose()?,
         })
     }
-}
-
-/// The first two numbers of every row; what is null is NaN.
-fn points(batch: &RecordBatch, name: &str) -> Result<Vec<[f64; 2]>> {
-    let column = batch.column_by_name(name).context("a column vanished")?;
-    let list = column.as_fixed_size_list_opt();
-    let Some(list) = list.filter(|list| list.value_length() >= 2) else {
-        bail!(
-            "column \"{name}\" holds {}, expected lists of two numbers or more",
-            column.data_type()
-        );
-    };
-    let values = arrow::compute::cast(list.values(), &DataType::Float64)?;
-    let values = values.as_primitive::<Float64Type>();
-    let one = |row: usize| {
-        let start = usize::try_from(list.value_offset(row)).unwrap_or(0);
-        match list.is_valid(row) {
-            true => [values.value(start), values.value(start + 1)],
-            false => [f64::NAN; 2],
-        }
-    };
-    Ok((0..list.len()).map(one).collect())
 }
 
 /// An episode that is being read.
