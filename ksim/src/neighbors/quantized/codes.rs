@@ -32,8 +32,6 @@ pub(super) const SAMPLED: usize = 16;
 const ONCE: usize = 1 << 11;
 const TWICE: usize = 1 << 16;
 
-/// A flat array, owned or borrowed from a mapped file.
-
 /// The rounded rows of a matrix, all of them once.
 ///
 /// Rows come in segments (one for all rows, or one per cluster); a segment in three levels: a
