@@ -1,6 +1,5 @@
 //! `ksim report`.
 
-use std::io::Write as _;
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
@@ -8,7 +7,7 @@ use clap::Args;
 use ksim_bench_harness::page;
 use ksim_envs::registry::{self, EnvironmentRequest};
 
-use crate::atomic::AtomicFile;
+use crate::atomic;
 use crate::context::Context;
 use crate::mazes::maze_of;
 use crate::outcome::CommandOutcome;
@@ -71,10 +70,7 @@ pub(crate) fn run(args: &ReportArgs, context: &Context) -> Result<CommandOutcome
         page.title.clone_from(title);
     }
     let html = page::html(&page).context("cannot write the page's data as JSON")?;
-    let mut file = AtomicFile::create(&args.output)?;
-    let written = file.write_all(html.as_bytes());
-    written.with_context(|| format!("cannot write {}", args.output.display()))?;
-    file.publish()?;
+    atomic::write(&args.output, html.as_bytes())?;
     output::text(&format!(
         "wrote {} ({:.1} MB): open it in a browser\n",
         args.output.display(),

@@ -1,7 +1,7 @@
 //! `ksim train`: a planner from a dataset.
 
 use std::fs::File;
-use std::io::{BufRead as _, BufReader, IsTerminal as _, Write as _};
+use std::io::{BufRead as _, BufReader, IsTerminal as _};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -14,7 +14,7 @@ use ksim_planners::{
 };
 use serde_json::{Map, Value};
 
-use crate::atomic::{self, AtomicFile};
+use crate::atomic;
 use crate::context::{Context, Progress};
 use crate::data_args;
 use crate::outcome::CommandOutcome;
@@ -285,10 +285,7 @@ fn draw_losses(run: &Path) -> Result<Option<PathBuf>> {
     let svg = draw(&heading, "updates", &Across::Numbers, &curves)
         .with_context(|| path.display().to_string())?;
     let figure = run.join(FIGURE);
-    let mut file = AtomicFile::create(&figure)?;
-    let written = file.write_all(svg.as_bytes());
-    written.with_context(|| format!("cannot write {}", figure.display()))?;
-    file.publish()?;
+    atomic::write(&figure, svg.as_bytes())?;
     Ok(Some(figure))
 }
 

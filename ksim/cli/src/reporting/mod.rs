@@ -130,7 +130,7 @@ fn score(request: &Request<'_>) -> Result<(Vec<ScoredRollouts>, Document)> {
         Ok(())
     })?;
     let mut document = session.document(results, request.context);
-    document.dataset.name = without_folder(&document.dataset);
+    document.dataset.name = document.dataset.public_name();
     Ok((rollouts, document))
 }
 
@@ -256,16 +256,6 @@ fn title(labels: &[String], dataset: &str) -> String {
         ),
     };
     format!("K-Sim of {named} against {dataset}")
-}
-
-/// The name of a dataset; of one that was given by its path only the last part, since the page is for others.
-fn without_folder(dataset: &DatasetPart) -> String {
-    let name = &dataset.name;
-    let is_path = *name == dataset.path || name.starts_with(['/', '.', '~']);
-    match is_path {
-        true => last_part(Path::new(name)),
-        false => name.clone(),
-    }
 }
 
 /// The document without what is elsewhere on the page, what differs from run to run, and places on the machine.

@@ -180,6 +180,9 @@ fn faults_name_what_is_wrong() {
     rollout("PointMass-v0", "zero", &["--goal-cell", "1,1"]).failed(1, &["goal_cell", "no maze"]);
     rollout("PointMass-v0", "zero", &["--discount", "2"]).failed(1, &["discount"]);
     ksim(["rollout", "--policy", "zero", "--episodes", "1"]).failed(2, &["--env"]);
+    for discount in ["nan", "1.5"] {
+        point_mass(&["--episodes", "1", "--discount", discount]).failed(2, &["from 0 to 1"]);
+    }
     let of = |name: &str| {
         ksim([
             "rollout",

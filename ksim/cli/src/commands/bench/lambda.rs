@@ -87,12 +87,17 @@ pub(super) fn run(args: &LambdaBenchArgs, context: &Context) -> Result<CommandOu
     if let Value::Object(document) = &mut document {
         document.insert("lambdas".to_owned(), object!(args.lambdas));
     }
+    let pretty = |document| -> Result<String> {
+        let text = serde_json::to_string_pretty(document).context("cannot write the report")?;
+        Ok(text + "\n")
+    };
+    // First: what cannot be drawn is there to be looked at.
+    run_dir.write_text("report.json", &pretty(&document)?)?;
     let figure = run_dir.write_text("lambda.svg", &lambda_figure::of_report(&document)?)?;
     if let Value::Object(document) = &mut document {
         document.insert("figure".to_owned(), object!(figure.display().to_string()));
     }
-    let pretty = serde_json::to_string_pretty(&document).context("cannot write the report")?;
-    run_dir.write_text("report.json", &(pretty + "\n"))?;
+    run_dir.write_text("report.json", &pretty(&document)?)?;
     match args.format {
         OutputFormat::Text => {
             output::text(&format!("{text}\nThe curves are in {}\n", figure.display()))?;
