@@ -11,8 +11,6 @@ use crate::figure::Palettes;
 
 /// Bins of a histogram, about.
 const BINS: usize = 60;
-/// γ of the published definitions.
-const GAMMA: f64 = 0.5;
 /// Share of distances that a histogram's last bin begins above.
 const COVERED: f64 = 0.995;
 
@@ -123,13 +121,9 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// Bins for distances, from 0 to a round number that all but a few are below; none straddles the published γ.
-    pub fn covering(distances: impl Iterator<Item = f64>) -> Self {
-        Self::with_border(distances, GAMMA)
-    }
-
-    /// The same for another border that no bin straddles, unless it is much smaller than a bin.
-    pub fn with_border(distances: impl Iterator<Item = f64>, border: f64) -> Self {
+    /// Bins for distances, from 0 to a round number that all but a few are below; none straddles the border, unless that
+    /// is much smaller than a bin.
+    pub fn covering(distances: impl Iterator<Item = f64>, border: f64) -> Self {
         let mut sorted: Vec<f64> = distances.collect();
         sorted.sort_by(f64::total_cmp);
         let last = sorted.len().saturating_sub(1);
@@ -215,28 +209,30 @@ pub struct Map {
 mod tests {
     use super::*;
 
+    const GAMMA: f64 = 0.5;
+
     #[test]
     fn the_last_bin_takes_what_lies_beyond() {
         let distances = || (0..1000).map(|i| f64::from(i) / 700.0).chain([1e300]);
-        let bins = Histogram::covering(distances());
+        let bins = Histogram::covering(distances(), GAMMA);
         assert_eq!(bins.high, 1.5);
         let counts = bins.counts(distances());
         assert_eq!(counts.iter().sum::<u64>(), 1001);
         assert_eq!(counts.last(), Some(&1));
         for (far, border) in [(3.5, 0.5), (4.5, 0.5), (7.0, 0.5), (2.0, 0.3), (0.1, 0.9)] {
-            let bins = Histogram::with_border([far; 2].into_iter(), border);
+            let bins = Histogram::covering([far; 2].into_iter(), border);
             let at = |edge: &f64| (edge - border).abs() < 1e-12;
             assert!(bins.edges().iter().any(at), "{border}: {bins:?}");
             assert!(bins.high >= far && (40..=120).contains(&bins.n), "{bins:?}");
         }
         for border in [1e-300, 1e-4, 8.0, 1e300] {
-            let bins = Histogram::with_border([2.0].into_iter(), border);
+            let bins = Histogram::covering([2.0].into_iter(), border);
             assert_eq!((bins.high, bins.n), (2.0, BINS));
         }
         // Nothing, and nothing but zeros.
-        assert_eq!(Histogram::covering([].into_iter()).high, 1.0);
+        assert_eq!(Histogram::covering([].into_iter(), GAMMA).high, 1.0);
         assert_eq!(
-            Histogram::covering([0.0].into_iter()).counts([0.0].into_iter())[0],
+            Histogram::covering([0.0].into_iter(), GAMMA).counts([0.0].into_iter())[0],
             1
         );
     }

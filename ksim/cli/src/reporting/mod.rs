@@ -203,7 +203,7 @@ fn distances<'a>(scored: &'a Scored<'_>) -> impl Iterator<Item = f64> + 'a {
 fn histogram(scored: &[Scored<'_>], held_out: Option<&HeldOut>, gamma: f64) -> Histogram {
     let held = held_out.into_iter().flat_map(|held| &held.report.steps);
     let held = held.map(|step| scored[0].scaled(step)[0]);
-    Histogram::with_border(scored.iter().flat_map(distances).chain(held), gamma)
+    Histogram::covering(scored.iter().flat_map(distances).chain(held), gamma)
 }
 
 fn held_out_part(

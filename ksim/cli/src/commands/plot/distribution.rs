@@ -68,7 +68,7 @@ pub(super) fn run(args: &DistributionArgs, context: &Context) -> Result<CommandO
             false
         }
     };
-    let bins = Histogram::covering(all.iter().flatten().copied());
+    let bins = Histogram::covering(all.iter().flatten().copied(), job.settings.gamma);
     let n = names.len();
     let lines = names.into_iter().zip(&all).enumerate();
     let lines = lines.map(|(place, (name, distances))| Line {
@@ -117,10 +117,10 @@ mod tests {
     #[test]
     fn a_last_bin_of_what_is_farther_says_so() {
         let near = [0.5; 1000];
-        let bins = Histogram::covering(near.into_iter());
+        let bins = Histogram::covering(near.into_iter(), 0.5);
         assert!(!x_label(&bins, near.into_iter()).contains("beyond"));
         let far = near.into_iter().chain([9.0]);
-        let bins = Histogram::covering(far.clone());
+        let bins = Histogram::covering(far.clone(), 0.5);
         assert!(x_label(&bins, far).ends_with("the last bin holds all beyond 1, too"));
     }
 }
