@@ -18,7 +18,7 @@ use serde_json::Value;
 use self::facts::Facts;
 use self::map::{Drawn, Fault};
 use crate::context::Context;
-use crate::document::{DatasetPart, Document};
+use crate::document::Document;
 use crate::pairing::Listed;
 use crate::scoring::{Job, RolloutFile, ScoredRollouts, Session};
 use crate::table;

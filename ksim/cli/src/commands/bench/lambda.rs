@@ -87,7 +87,7 @@ pub(super) fn run(args: &LambdaBenchArgs, context: &Context) -> Result<CommandOu
     if let Value::Object(document) = &mut document {
         document.insert("lambdas".to_owned(), object!(args.lambdas));
     }
-    let pretty = |document| -> Result<String> {
+    let pretty = |document: &Value| -> Result<String> {
         let text = serde_json::to_string_pretty(document).context("cannot write the report")?;
         Ok(text + "\n")
     };
