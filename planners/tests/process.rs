@@ -46,7 +46,8 @@ fn start(argument: &str, limit: Duration) -> Result<ProcessPlanner, PlannerError
 }
 
 const LONG: Duration = Duration::from_secs(60);
-const SHORT: Duration = Duration::from_millis(700);
+/// Enough to start on a busy machine.
+const SHORT: Duration = Duration::from_secs(4);
 
 fn plan(planner: &mut ProcessPlanner, observation: &[f64]) -> Result<Candidates, PlannerError> {
     planner.plan(&PlanRequest {
@@ -134,7 +135,7 @@ fn faults_in_the_middle_are_told_apart() {
                 "out of memory, says",
             ][..],
         ),
-        ("hang", SHORT, &["did not answer within 0.7 s"]),
+        ("hang", SHORT, &["did not answer within 4 s"]),
         (
             "print",
             LONG,
@@ -166,7 +167,7 @@ fn faults_of_the_beginning_are_told_apart() {
         (
             "late",
             SHORT,
-            &["did not answer within 0.7 s", "still importing"],
+            &["did not answer within 4 s", "still importing"],
         ),
         ("mute", SHORT, &["did not answer"]),
         (

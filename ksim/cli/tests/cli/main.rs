@@ -29,4 +29,5 @@ mod server;
 mod torch_save;
 mod usage;
 mod validate;
+mod walks;
 mod watch;
