@@ -64,7 +64,7 @@ pub(crate) struct PlayArgs {
     #[arg(long, value_name = "N")]
     pub(crate) parallel: Option<NonZero<u16>>,
     /// Discount of the discounted return
-    #[arg(long, value_name = "FACTOR", default_value_t = 0.99, value_parser = discount)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 0.99)]
     pub(crate) discount: f64,
     #[command(flatten)]
     planner: PlannerArgs,
@@ -83,13 +83,6 @@ fn env_arg(text: &str) -> Result<(String, Value)> {
     let (name, value) = text.split_once('=').context("expected NAME=JSON")?;
     let value = serde_json::from_str(value).unwrap_or_else(|_| Value::from(value));
     Ok((name.to_owned(), value))
-}
-
-fn discount(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(discount) if (0.0..=1.0).contains(&discount) => Ok(discount),
-        _ => Err("expected a number from 0 to 1".to_owned()),
-    }
 }
 
 fn cell(text: &str) -> Result<(usize, usize)> {

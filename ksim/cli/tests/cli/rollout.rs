@@ -178,11 +178,10 @@ fn faults_name_what_is_wrong() {
     let flags = ["--env-arg", "wind=3"];
     rollout("PointMass-v0", "zero", &flags).failed(1, &["argument `wind`"]);
     rollout("PointMass-v0", "zero", &["--goal-cell", "1,1"]).failed(1, &["goal_cell", "no maze"]);
-    rollout("PointMass-v0", "zero", &["--discount", "2"]).failed(1, &["discount"]);
-    ksim(["rollout", "--policy", "zero", "--episodes", "1"]).failed(2, &["--env"]);
-    for discount in ["nan", "1.5"] {
-        point_mass(&["--episodes", "1", "--discount", discount]).failed(2, &["from 0 to 1"]);
+    for discount in ["2", "nan"] {
+        rollout("PointMass-v0", "zero", &["--discount", discount]).failed(1, &["discount"]);
     }
+    ksim(["rollout", "--policy", "zero", "--episodes", "1"]).failed(2, &["--env"]);
     let of = |name: &str| {
         ksim([
             "rollout",
