@@ -49,7 +49,12 @@ impl H5File {
             .map_err(|e| DatasetError::io("open", e))?
             .len();
         let mut options = hdf5::FileBuilder::new();
-        options.with_fapl(|fapl| fapl.chunk_cache(CHUNK_CACHE_SLOTS, CHUNK_CACHE_BYTES, 1.0));
+        // Without a lock: file systems that have none would refuse, and a process that is being started holds the locks
+        // of the one that starts it for a moment. A file that is being written says so in its own header.
+        options.with_fapl(|fapl| {
+            fapl.chunk_cache(CHUNK_CACHE_SLOTS, CHUNK_CACHE_BYTES, 1.0)
+                .file_locking(false)
+        });
         let file = options.open(path).map_err(|e| {
             DatasetError::corrupt(format!("not a whole HDF5 file ({size} bytes): {e}"))
         })?;

@@ -326,6 +326,16 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_lock_on_a_file_keeps_nobody_from_reading_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.hdf5");
+        drop(create_file(&path).unwrap());
+        let locked = std::fs::File::open(&path).unwrap();
+        locked.lock().unwrap();
+        super::super::file::H5File::open(&path).unwrap();
+    }
+
+    #[test]
     fn attributes_are_read_back_as_they_were() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.hdf5");
