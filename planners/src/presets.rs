@@ -16,7 +16,7 @@ pub(crate) const PRESETS: &[Preset] = &[
     ),
     preset(
         "smoke",
-        "two dozen updates of tiny networks: shows that everything works, plans nothing of use",
+        "some dozen updates of tiny networks: shows that everything works, plans nothing of use",
     ),
     preset("paper-hopper-medium-expert", "the paper's, 10^6 updates"),
     preset("paper-hopper-medium-replay", "the paper's, 10^6 updates"),

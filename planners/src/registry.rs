@@ -139,9 +139,11 @@ pub fn family_of(run: &Path) -> Result<String, PlannerError> {
         return Ok(run_info(run)?.family);
     }
     let path = run.join(MANIFEST);
+    // Of what is not there at all, the folder is named, not the file that is looked for in it.
+    let missing = if run.exists() { &path } else { run };
     let text = std::fs::read_to_string(&path).map_err(|source| PlannerError::File {
-        path: path.clone(),
-        action: "read",
+        path: missing.to_owned(),
+        action: "read the planner",
         source,
     })?;
     let manifest: Result<Manifest, _> = serde_json::from_str(&text);

@@ -78,7 +78,7 @@ fn what_does_not_fit_is_refused_before_anything_is_written() {
                 sparse: true,
                 ..toy
             },
-            "choose a preset for mazes",
+            "for a maze choose a preset",
         ),
         (
             smoke(),

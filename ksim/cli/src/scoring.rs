@@ -22,7 +22,7 @@ use crate::settings::Settings;
 use crate::table;
 
 /// Share of saturated steps above which a score says little.
-const MUCH_SATURATION: f64 = 0.9;
+pub(crate) const MUCH_SATURATION: f64 = 0.9;
 
 /// Steps closer than this, in standard deviations, are the same but for the rounding of storage as f32.
 const SAME_STEP: f64 = 1e-5;

@@ -109,11 +109,13 @@ impl<'a> Watched<'a> {
         }
         let pooled = episodes().flatten().sum::<f64>() / n_steps as f64;
         let means = episodes().map(|scores| mean(scores)).sum::<f64>();
+        let n_saturated = episodes().flatten().filter(|score| **score == 1.0).count();
         format!(
-            "{}, {}: K-Sim {pooled:.4}, episode mean {:.4}\n",
+            "{}, {}: K-Sim {pooled:.4}, episode mean {:.4}, {:.1} % saturated\n",
             counted(self.episodes.len(), "episode"),
             counted(n_steps, "step"),
-            means / self.episodes.len() as f64
+            means / self.episodes.len() as f64,
+            100.0 * n_saturated as f64 / n_steps as f64
         )
     }
 }

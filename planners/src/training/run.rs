@@ -117,8 +117,11 @@ fn check_rewards(episodes: &Episodes, config: &Config) -> Result<(), PlannerErro
         }),
         (RewardRule::Locomotion, None) => Err(PlannerError::DatasetFit {
             what: "every reward",
-            expected: "dense (data.rule \"locomotion\")".to_owned(),
-            found: "0 or 1: choose a preset for mazes, such as \"cpu-antmaze\"".to_owned(),
+            expected:
+                "others than 0 and 1 somewhere (data.rule \"locomotion\"; for a maze choose a \
+                       preset such as \"cpu-antmaze\", or data.rule \"goal\")"
+                    .to_owned(),
+            found: "0 or 1".to_owned(),
         }),
         _ => Ok(()),
     }

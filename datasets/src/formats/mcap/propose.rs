@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use super::describe::{MAPPING_ENTRY, MAPPING_RECORD};
 use super::guess::{Shape, is_gripper, shape, slug};
 use super::inspect::{Inspection, TopicInspection};
 use crate::error::{DatasetError, Result};
@@ -14,11 +15,16 @@ const COMMAND_WORDS: [&str; 10] = [
 const PAUSE_S: f64 = 1.0;
 
 impl Inspection {
-    /// A commented TOML mapping that opens the recording: a guess to be checked by someone who knows the robot.
+    /// A commented TOML mapping that opens the recording: the one that it brings along, or a guess to be checked by someone
+    /// who knows the robot.
     ///
     /// # Errors
     /// [`DatasetError::Empty`] if no topic has numbers or pictures that can be decoded.
     pub fn propose(&self) -> Result<String> {
+        let own = self.metadata.iter().find(|one| one.name == MAPPING_RECORD);
+        if let Some(own) = own.and_then(|record| record.entries.get(MAPPING_ENTRY)) {
+            return Ok(own.clone());
+        }
         let mut proposal = Proposal::new(self);
         proposal.columns();
         if proposal.observation.is_empty() && proposal.action.is_empty() {

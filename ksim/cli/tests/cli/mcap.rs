@@ -74,6 +74,19 @@ fn golden_mcap_a_recording_is_inspected_mapped_and_scored() {
         columns(&[&out]),
         "a written recording brings its mapping along"
     );
+
+    // It is proposed as it is, and never over what is there.
+    let own = at("own.toml");
+    let propose = || ksim(["dataset", "inspect", &back, "--propose", &own]);
+    assert_eq!(propose().code, 0);
+    propose().failed(1, &["there is something already"]);
+    let steps = |flags: &[&str]| {
+        let start = ["dataset", "info", &back, "--format", "json"];
+        ksim(start.iter().chain(flags)).json()["n_steps"].clone()
+    };
+    assert_eq!(steps(&["--mapping", &own]), steps(&[]));
+    let text = std::fs::read_to_string(&own).expect("it was written");
+    assert!(text.starts_with("# Written by ksim"), "{text}");
 }
 
 #[test]

@@ -72,7 +72,7 @@ fn what_is_there_is_scored_once() {
     );
     assert_eq!(
         lines[2],
-        format!("2 episodes, 12 steps: K-Sim {pooled}, episode mean {mean}")
+        format!("2 episodes, 12 steps: K-Sim {pooled}, episode mean {mean}, 100.0 % saturated")
     );
     ksim(["watch", &at("none.parquet"), "--dataset", &data, "--once"]).failed(1, &["none.parquet"]);
     ksim(["watch", &roll, "--dataset", &data, "--interval", "0"]).failed(2, &["a number from 0.1"]);

@@ -26,7 +26,8 @@ pub(crate) struct InspectArgs {
     /// How to print it
     #[arg(long, value_enum, default_value_t = OutputFormat::Text)]
     format: OutputFormat,
-    /// Write a mapping to start from: a guess by topic names and types, with comments
+    /// Write a mapping to start from: the one that the recording brings along, or a guess by topic names and types, with
+    /// comments
     #[arg(long, value_name = "OUT.toml")]
     propose: Option<PathBuf>,
     /// Read what is whole of a damaged file, and say what is lost
@@ -45,6 +46,12 @@ pub(crate) fn run(args: &InspectArgs, context: &Context) -> Result<CommandOutcom
     }
     if let Some(target) = &args.propose {
         atomic::check_target(target)?;
+        if target.exists() {
+            bail!(
+                "{}: there is something already; choose another name or remove it",
+                target.display()
+            );
+        }
     }
     let progress = context.spinner(format!("reading {}", args.recording.display()));
     let inspection = ksim_datasets::mcap::inspect(&args.recording, args.recover);
