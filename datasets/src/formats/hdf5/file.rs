@@ -1,6 +1,7 @@
 //! Opening a file and listing its groups.
 
 use std::path::Path;
+use std::time::Duration;
 
 use hdf5_metno as hdf5;
 
@@ -39,6 +40,10 @@ pub(crate) struct Member {
     pub(crate) kind: MemberKind,
 }
 
+/// How often a file that somebody else has locked is tried again, and after how long.
+const LOCK_ATTEMPTS: usize = 40;
+const LOCK_PAUSE: Duration = Duration::from_millis(50);
+
 impl H5File {
     /// Opens a file for reading.
     ///
@@ -49,13 +54,21 @@ impl H5File {
             .map_err(|e| DatasetError::io("open", e))?
             .len();
         let mut options = hdf5::FileBuilder::new();
-        // Without a lock: file systems that have none would refuse, and a process that is being started holds the locks
-        // of the one that starts it for a moment. A file that is being written says so in its own header.
-        options.with_fapl(|fapl| {
-            fapl.chunk_cache(CHUNK_CACHE_SLOTS, CHUNK_CACHE_BYTES, 1.0)
-                .file_locking(false)
-        });
-        let file = options.open(path).map_err(|e| {
+        options.with_fapl(|fapl| fapl.chunk_cache(CHUNK_CACHE_SLOTS, CHUNK_CACHE_BYTES, 1.0));
+        let is_locked = |opened: &hdf5::Result<hdf5::File>| {
+            let error = opened.as_ref().err();
+            error.is_some_and(|error| error.to_string().contains("unable to lock file"))
+        };
+        let mut file = options.open(path);
+        // A process that is being started holds the locks of the one that starts it for a moment.
+        for _ in 0..LOCK_ATTEMPTS {
+            if !is_locked(&file) {
+                break;
+            }
+            std::thread::sleep(LOCK_PAUSE);
+            file = options.open(path);
+        }
+        let file = file.map_err(|e| {
             DatasetError::corrupt(format!("not a whole HDF5 file ({size} bytes): {e}"))
         })?;
         Ok(Self { file, size })

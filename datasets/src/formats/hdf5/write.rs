@@ -326,13 +326,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_lock_on_a_file_keeps_nobody_from_reading_it() {
+    fn a_lock_that_is_soon_gone_is_waited_for() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.hdf5");
         drop(create_file(&path).unwrap());
         let locked = std::fs::File::open(&path).unwrap();
         locked.lock().unwrap();
+        let holder = std::thread::spawn(move || {
+            std::thread::sleep(std::time::Duration::from_millis(150));
+            drop(locked);
+        });
         super::super::file::H5File::open(&path).unwrap();
+        holder.join().unwrap();
     }
 
     #[test]

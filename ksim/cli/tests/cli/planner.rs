@@ -195,7 +195,10 @@ fn faults_name_what_is_wrong() {
     toy.rollout("nearest:", &[])
         .failed(1, &["no planner `nearest:`", "nearest:DATASET"]);
     toy.rollout("no/such/run", &[])
-        .failed(1, &["no/such/run", "manifest.json"]);
+        .failed(1, &["no/such/run: cannot read the planner"]);
+    std::fs::create_dir(toy.at("empty")).unwrap();
+    toy.rollout(&toy.at("empty"), &[])
+        .failed(1, &["empty/manifest.json: cannot read the planner"]);
     toy.rollout("random", &["--curiosity", "1"])
         .failed(1, &["no weight of curiosity"]);
     toy.rollout("random", &["--precision", "bf16"])
