@@ -1,9 +1,10 @@
 //! Milliseconds of a guided plan (20 steps of the U-Net and of the reward and novelty networks with their gradients)
 //! and of training updates, by the native backend. Weights are random: they do not change the time.
 //!
-//! `cargo run --release -p ksim-planners --example time_networks -- [CONFIG] [plan|update] [bf16]`, with CONFIG one of
-//! hopper, walker2d, halfcheetah, antmaze; `bf16` plans with rounded weights. Wall time is the least of several runs; CPU time is the mean over all of
-//! them and all threads (Linux; in steps of 10 ms over all runs), which says more on a machine that is not idle.
+//! `cargo run --release -p ksim-planners --example time_networks -- [CONFIG] [plan|update] [bf16] [horizon=N]`, with
+//! CONFIG one of hopper, walker2d, halfcheetah, antmaze; `bf16` plans with rounded weights. Wall time is the least of
+//! several runs; CPU time is the mean over all of them and all threads (Linux; in steps of 10 ms over all runs), which
+//! says more on a machine that is not idle.
 #![expect(clippy::print_stdout, reason = "an example that prints a table")]
 
 use std::time::Instant;
@@ -296,15 +297,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         true => Precision::Bf16,
         false => Precision::F32,
     };
+    let horizon = arguments.iter().find_map(|a| a.strip_prefix("horizon="));
+    let horizon = horizon.map(str::parse::<usize>).transpose()?;
     let names = CONFIGS.map(|config| config.name);
     println!("| network | operation | backend | threads | wall ms | CPU ms |");
     println!("|---|---|---|--:|--:|--:|");
     for n_threads in [1, std::thread::available_parallelism()?.get()] {
         let timed = Timed::new(has("torch"), precision, n_threads)?;
-        for config in &CONFIGS {
+        for config in CONFIGS {
             if !wanted(&names, config.name) {
                 continue;
             }
+            let horizon = horizon.unwrap_or(config.horizon);
+            let config = &Config { horizon, ..config };
             if wanted(&["plan", "update"], "plan") {
                 timed.pool.install(|| plans(&timed, config))?;
             }
