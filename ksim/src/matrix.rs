@@ -95,7 +95,8 @@ impl Matrix {
     /// Takes both planes as [`planes`](Self::planes) gives them, without a copy.
     ///
     /// # Errors
-    /// As [`from_f32`](Self::from_f32) for either plane; [`DataError::Parts`] if the second plane is neither empty nor as long as the first.
+    /// As [`from_f32`](Self::from_f32) for either plane; [`DataError::Parts`] if the second plane is
+    /// neither empty nor as long as the first.
     pub fn from_planes(
         high: Buffer<f32>,
         low: Buffer<f32>,

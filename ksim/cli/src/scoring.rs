@@ -326,6 +326,16 @@ fn score_one(
     Ok((result, report))
 }
 
+/// What is to be said of much saturation.
+pub(crate) fn saturated(share: f64, mean_scaled_distance: f64) -> String {
+    format!(
+        "{:.1} % of the steps are saturated (score 1): K-Sim says little here; compare d/√d, \
+         which does not saturate: mean {}",
+        100.0 * share,
+        table::decimals(mean_scaled_distance)
+    )
+}
+
 /// What a reader of the number should know.
 fn warnings(report: &Report, settings: &Settings) -> Vec<String> {
     let mut warnings = Vec::new();
@@ -338,15 +348,9 @@ fn warnings(report: &Report, settings: &Settings) -> Vec<String> {
         );
     } else if report.saturated_share > MUCH_SATURATION {
         let [low, _, median, _, high] = report.scaled_distance_quantiles;
-        warnings.push(format!(
-            "{:.1} % of the steps are saturated (score 1): K-Sim says little here; compare d/√d, \
-             which does not saturate: mean {}, median {}, 5–95 % {}–{}",
-            100.0 * report.saturated_share,
-            table::decimals(report.mean_scaled_distance),
-            table::decimals(median),
-            table::decimals(low),
-            table::decimals(high)
-        ));
+        let mean = saturated(report.saturated_share, report.mean_scaled_distance);
+        let [low, median, high] = [low, median, high].map(table::decimals);
+        warnings.push(format!("{mean}, median {median}, 5–95 % {low}–{high}"));
     }
     if report.state_action.interval_95.is_none() && settings.n_resamples > 0 {
         warnings.push("a single episode has no interval".to_owned());

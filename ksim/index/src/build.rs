@@ -110,9 +110,11 @@ pub fn write(
     drop((raw_limiter, raw));
     let states = reference.states();
     say(Stage::Rounding);
-    let rounded = Blocked::new(Arc::clone(states)).rounded();
-    write_rounded(&rounded, &ROWS, &mut writer)?;
-    drop(rounded);
+    write_rounded(
+        &Blocked::new(Arc::clone(states)).rounded(),
+        &ROWS,
+        &mut writer,
+    )?;
     if let Some(clustering) = clustering {
         say(Stage::Clusters);
         let fitted = fitted(states, clustering)?;

@@ -143,6 +143,11 @@ impl<'a> Fit<'a> {
                 })
             })
             .collect();
+        self.add_all(deltas)
+    }
+
+    /// Brings the sums up to date; returns how many labels changed.
+    fn add_all(&mut self, deltas: Vec<Delta>) -> usize {
         let mut n_changed = 0;
         for delta in deltas {
             n_changed += delta.n_changed;
@@ -161,29 +166,23 @@ impl<'a> Fit<'a> {
     /// The sums from the labels alone: what has come to them and left again over the iterations may
     /// have taken digits along.
     fn sum_anew(&mut self) {
-        let width = self.data.n_features();
-        let parts: Vec<Vec<f64>> = self
+        let point = vec![0.0; self.data.n_features()];
+        let deltas: Vec<Delta> = self
             .chunks
             .par_iter()
             .enumerate()
-            .map(|(index, chunk)| {
-                let mut sums = vec![0.0; self.sums.len()];
-                let mut point = vec![0.0; width];
+            .map_with(point, |point, (index, chunk)| {
+                let mut delta = Delta::new(self.sums.len(), self.counts.len());
                 for (&label, row) in chunk.labels.iter().zip(index * CHUNK_ROWS..) {
-                    self.data.read_row(row, &mut point);
-                    let sums = &mut sums[label as usize * width..][..width];
-                    sums.iter_mut().zip(&point).for_each(|(sum, v)| *sum += v);
+                    self.data.read_row(row, point);
+                    delta.add(label, point, 1);
                 }
-                sums
+                delta
             })
             .collect();
         self.sums.fill(0.0);
-        for part in parts {
-            self.sums
-                .iter_mut()
-                .zip(part)
-                .for_each(|(sum, d)| *sum += d);
-        }
+        self.counts.fill(0);
+        self.add_all(deltas);
     }
 
     /// The mean of each center's rows: where Lloyd's iteration moves it. An empty cluster starts
@@ -269,6 +268,14 @@ impl Drift {
 }
 
 impl Delta {
+    fn new(n_values: usize, n_clusters: usize) -> Self {
+        Self {
+            sums: vec![0.0; n_values],
+            counts: vec![0; n_clusters],
+            n_changed: 0,
+        }
+    }
+
     fn add(&mut self, label: u32, point: &[f64], sign: i64) {
         if label == NO_LABEL {
             return;
@@ -394,11 +401,7 @@ impl WithSimd for AssignChunk<'_, '_> {
     fn with_simd<S: Simd>(self, simd: S) -> Delta {
         let Self { pass, start, chunk } = self;
         let width = pass.data.n_features();
-        let mut delta = Delta {
-            sums: vec![0.0; pass.centers.len()],
-            counts: vec![0; pass.half_gaps.len()],
-            n_changed: 0,
-        };
+        let mut delta = Delta::new(pass.centers.len(), pass.half_gaps.len());
         let mut pending = pass.filter(simd, start, chunk);
         // Rows of one cluster tend to need the same groups.
         pending.sort_unstable_by_key(|row| (row.label, row.local));

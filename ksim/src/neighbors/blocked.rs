@@ -54,7 +54,7 @@ impl Blocked {
         })
     }
 
-    /// A copy of the rounded rows, for [`from_rounded`](Self::from_rounded).
+    /// The rounded rows, shared, for [`from_rounded`](Self::from_rounded).
     pub fn rounded(&self) -> RoundedRows {
         RoundedRows::of(&self.codes, self.max_norm)
     }

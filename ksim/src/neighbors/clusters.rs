@@ -88,7 +88,7 @@ impl Clusters {
         })
     }
 
-    /// A copy of the rounded rows, for [`from_rounded`](Self::from_rounded).
+    /// The rounded rows, shared, for [`from_rounded`](Self::from_rounded).
     pub fn rounded(&self) -> RoundedRows {
         RoundedRows::of(&self.codes, self.max_norm)
     }

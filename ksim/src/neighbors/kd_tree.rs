@@ -94,7 +94,7 @@ impl NeighborIndex for KdTree {
 
     fn search(&self, request: &SearchRequest<'_>) -> Result<Neighbors, SearchError> {
         request.check(self.n_features())?;
-        let n = request.n_neighbors.min(self.n_rows().max(1));
+        let n = request.n_neighbors_of(self.n_rows());
         let n_queries = request.queries.n_rows();
         let lists = (0..n_queries.div_ceil(RUN_QUERIES))
             .into_par_iter()

@@ -4,10 +4,11 @@
 //! With x̂ and q̂ the values rounded to f32 and u = 2⁻²⁴, the difference vector is off by at most
 //! e = u(‖x‖ + ‖q‖) in L2, and its squared length D̂, summed over w columns in f32, by at most a
 //! factor 1 ± g, g = γ(w + 4), see [`gamma`]. Hence a row at true distance d has
-//! D̂ ≤ (d + e)²(1 + g), and d ≤ √(D̂(1 + 2g)) + e while g ≤ 1/2, which 2¹⁸ columns are far below. If t is the n-th smallest D̂ so far, n rows lie within the latter
-//! of t, so no row beyond `Bound::widen(t)`, the former applied to the latter, can be among the n
-//! nearest. Where squares underflow, each is off by at most 2⁻¹⁴⁹, which e takes in as √w·2⁻⁷⁴. Both
-//! bounds are widened once more to cover the rounding of the bounds themselves.
+//! D̂ ≤ (d + e)²(1 + g), and d ≤ √(D̂(1 + 2g)) + e while g ≤ 1/2, which 2¹⁸ columns are far
+//! below. If t is the n-th smallest D̂ so far, n rows lie within the latter of t, so no row
+//! beyond `Bound::widen(t)`, the former applied to the latter, can be among the n nearest. Where
+//! squares underflow, each is off by at most 2⁻¹⁴⁹, which e takes in as √w·2⁻⁷⁴. Both bounds are
+//! widened once more to cover the rounding of the bounds themselves.
 
 use std::ops::Range;
 

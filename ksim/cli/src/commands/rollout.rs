@@ -20,7 +20,7 @@ use crate::outcome::CommandOutcome;
 use crate::output::{self, OutputFormat};
 use crate::rolling::{self, Destination, Played, Ready};
 use crate::rollout_args::{EnvironmentArgs, PlayArgs, Setup};
-use crate::scoring::MUCH_SATURATION;
+use crate::scoring::{MUCH_SATURATION, saturated};
 use crate::table;
 
 /// Name and version of the schema of `ksim rollout --format json`.
@@ -97,12 +97,8 @@ pub(crate) fn run(args: &RolloutArgs, context: &Context) -> Result<CommandOutcom
     report(&played, &setup, args)?;
     let k_sim = played.k_sim.as_deref().and_then(KSimSummary::new);
     if let Some(k_sim) = k_sim.filter(|k_sim| k_sim.saturated_share > MUCH_SATURATION) {
-        context.warn(&format!(
-            "{:.1} % of the steps are saturated (score 1): K-Sim says little here; compare the mean \
-             d/√d, which does not saturate: {}",
-            100.0 * k_sim.saturated_share,
-            table::decimals(k_sim.mean_scaled_distance)
-        ));
+        let (share, mean) = (k_sim.saturated_share, k_sim.mean_scaled_distance);
+        context.warn(&saturated(share, mean));
     }
     Ok(CommandOutcome::Done)
 }

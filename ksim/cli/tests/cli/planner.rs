@@ -62,8 +62,17 @@ fn a_planner_is_played_scored_and_recorded_in_one_command() {
     let (data, out) = (toy.at("data.parquet"), toy.at("out.parquet"));
     let planner = format!("nearest:{data}");
     let flags = ["--dataset", &data, "--format", "json", "-o", &out];
-    let document = toy.rollout(&planner, &flags).json();
+    let run = toy.rollout(&planner, &flags);
+    let document = run.json();
     assert_eq!(document["policy"], "nearest:data");
+    // Steps of the dataset again: the number alone says nothing, and the command says so.
+    assert!(
+        document["k_sim"]["saturated_share"]
+            .as_f64()
+            .expect("a number")
+            > 0.9
+    );
+    assert!(run.stderr.contains("are saturated"), "{}", run.stderr);
     assert_eq!(document["planner"]["replan_interval"], 1);
     let k_sim = &document["k_sim"];
     let score = ksim(["score", &out, "--dataset", &data, "--format", "json"]).json();
