@@ -1,6 +1,6 @@
 # Thin: behind every target stands a command that works alone.
 
-.PHONY: demo test native native-torch peers miri check
+.PHONY: demo test native native-torch peers peers-lerobot miri check
 
 # Builds with the default features and scores the bundled rollouts.
 demo: native
@@ -21,12 +21,15 @@ native-torch:
 	python3 scripts/native.py --torch
 
 # The libraries of other people's formats, for the tests that have them read our files:
-# KSIM_PYTHON=target/peers/bin/python make test. LeRobot brings gigabytes and comes last.
+# KSIM_PYTHON=target/peers/bin/python make test.
 peers:
 	python3 -m venv target/peers
 	target/peers/bin/pip install --quiet "minari[hdf5]==0.5.4" gymnasium-robotics==1.4.2 mujoco==3.17.0 pillow pyarrow \
 		mcap mcap-protobuf-support mcap-ros2-support
-	timeout 900 target/peers/bin/pip install --quiet lerobot
+
+# LeRobot too, which brings gigabytes.
+peers-lerobot: peers
+	timeout 900 target/peers/bin/pip install --quiet --no-cache-dir lerobot
 
 # The vector instructions of this machine under Miri (needs `rustup component add miri --toolchain nightly`): minutes.
 miri:
