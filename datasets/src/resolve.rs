@@ -101,7 +101,7 @@ pub fn resolve(name: &str, roots: &SearchRoots) -> Result<Resolved> {
     Err(DatasetError::NotFound {
         name: name.to_owned(),
         looked_at,
-        help: help(name),
+        help: help(name, roots),
     })
 }
 
@@ -254,7 +254,7 @@ pub(crate) fn minari_folder(root: &Path, id: &str) -> Result<PathBuf> {
 }
 
 /// How to get what is not there.
-fn help(name: &str) -> String {
+fn help(name: &str, roots: &SearchRoots) -> String {
     let mut lines: Vec<String> = published(name)
         .iter()
         .map(|id| format!("ksim dataset download {id}"))
@@ -266,19 +266,23 @@ fn help(name: &str) -> String {
             known.url()
         ));
     }
-    if lines.is_empty() {
-        let known = registry::alternatives(name);
-        lines.push(match known.as_slice() {
-            [] => "no published dataset of this name is known; `ksim dataset list --known` shows \
-                   those that are"
-                .to_owned(),
-            _ => format!(
-                "no published dataset of this name is known; there are {}",
-                known.join(", ")
-            ),
-        });
+    if !lines.is_empty() {
+        return format!("to get it:\n  {}", lines.join("\n  "));
     }
-    format!("to get it:\n  {}", lines.join("\n  "))
+    let here = list(roots);
+    let here = registry::alike(name, here.iter().map(|dataset| dataset.id.as_str()));
+    if !here.is_empty() {
+        return format!("on this machine, did you mean:\n  {}", here.join("\n  "));
+    }
+    let published = registry::alternatives(name);
+    if !published.is_empty() {
+        return format!(
+            "nor is it published; did you mean:\n  {}",
+            published.join("\n  ")
+        );
+    }
+    "no published dataset of this name is known; `ksim dataset list --known` shows those that are"
+        .to_owned()
 }
 
 #[cfg(test)]
@@ -364,6 +368,18 @@ mod tests {
             error.contains("no published dataset of this name is known"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn a_slip_of_the_keys_is_answered_by_what_is_here_then_by_what_is_published() {
+        let (_dir, roots) = roots(&["lab/pick-cubes-v3"], &[]);
+        let error = found("lab/pick-cubse", &roots);
+        assert!(
+            error.contains("did you mean:\n  lab/pick-cubes-v3"),
+            "{error}"
+        );
+        let error = found("antmaze-large-pley", &roots);
+        assert!(error.contains("D4RL/antmaze/large-play-v1"), "{error}");
     }
 
     #[test]

@@ -18,6 +18,7 @@ pub(crate) const PRESETS: &[Preset] = &[
         "smoke",
         "some dozen updates of tiny networks: shows that everything works, plans nothing of use",
     ),
+    preset("smoke-antmaze", "the same on datasets with goals"),
     preset("paper-hopper-medium-expert", "the paper's, 10^6 updates"),
     preset("paper-hopper-medium-replay", "the paper's, 10^6 updates"),
     preset("paper-hopper-medium", "the paper's, 10^6 updates"),
@@ -51,6 +52,7 @@ pub(crate) fn base(name: &str) -> Option<Config> {
         "cpu" => cpu(),
         "cpu-antmaze" => cpu_antmaze(),
         "smoke" => smoke(),
+        "smoke-antmaze" => smoke_antmaze(),
         "paper-antmaze" => antmaze(),
         _ => mujoco(name.strip_prefix("paper-")?)?,
     };
@@ -193,6 +195,17 @@ fn smoke() -> Config {
     config
 }
 
+fn smoke_antmaze() -> Config {
+    let (mut config, maze) = (smoke(), antmaze());
+    config.data = DataConfig {
+        horizon: config.data.horizon,
+        ..maze.data
+    };
+    config.planning.guidance_weight = maze.planning.guidance_weight;
+    config.planning.curiosity_weight = maze.planning.curiosity_weight;
+    config
+}
+
 /// Curiosity-Diffuser's part of a preset.
 pub(crate) fn curiosity(name: &str) -> CuriosityConfig {
     let mut config = CuriosityConfig {
@@ -208,7 +221,7 @@ pub(crate) fn curiosity(name: &str) -> CuriosityConfig {
             config.n_updates = 10_000;
             config.batch_size = 128;
         }
-        "smoke" => {
+        "smoke" | "smoke-antmaze" => {
             config.n_updates = 16;
             config.batch_size = 8;
             config.ema_rate = 0.9;
@@ -237,7 +250,7 @@ pub(crate) fn confidence(name: &str) -> ConfidenceConfig {
             config.n_updates = 20_000;
             config.n_plans = 1024;
         }
-        "smoke" => {
+        "smoke" | "smoke-antmaze" => {
             config.n_updates = 16;
             config.batch_size = 8;
             config.n_plans = 16;

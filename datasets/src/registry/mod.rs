@@ -146,13 +146,32 @@ pub fn find_file(file_name: &str) -> Option<&'static Known> {
     })
 }
 
-/// Ids of listed datasets one may have meant: other versions, and the same data in the other store.
+/// Ids of listed datasets one may have meant: other versions, and the same data in the other store; else those spelled
+/// most alike, see [`alike`].
 pub fn alternatives(id: &str) -> Vec<&'static str> {
     let wanted = words(id);
-    let others = all().filter(|known| known.id != id);
-    others
-        .filter(|known| !wanted.is_empty() && words(known.id) == wanted)
-        .map(|known| known.id)
+    let others = || all().map(|known| known.id).filter(|known| *known != id);
+    let same: Vec<&str> = others()
+        .filter(|known| !wanted.is_empty() && words(known) == wanted)
+        .collect();
+    if same.is_empty() {
+        return alike(id, others());
+    }
+    same
+}
+
+/// Of some ids those that a name differs least from, stores and versions aside: by one slip of the keys in four letters,
+/// two at most. In the order given.
+pub fn alike<'a>(name: &str, ids: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
+    const MOST_SLIPS: usize = 2;
+    let wanted = words(name).join("-");
+    let most = MOST_SLIPS.min(wanted.chars().count() / 4);
+    let slips = |id: &str| strsim::osa_distance(&wanted, &words(id).join("-"));
+    let ids: Vec<(usize, &str)> = ids.into_iter().map(|id| (slips(id), id)).collect();
+    let least = ids.iter().map(|(slips, _)| *slips).min();
+    ids.into_iter()
+        .filter(|(slips, _)| *slips <= most && Some(*slips) == least)
+        .map(|(_, id)| id)
         .collect()
 }
 
@@ -211,6 +230,19 @@ mod tests {
         );
         assert!(alternatives("no-such-thing").is_empty());
         assert!(alternatives("").is_empty());
+    }
+
+    #[test]
+    fn slips_of_the_keys_are_understood() {
+        assert_eq!(
+            alternatives("D4RL/pen/humna"),
+            ["pen-human-v1", "pen-human-v0", "D4RL/pen/human-v2"]
+        );
+        assert_eq!(alternatives("hoper-medium-v2")[0], "hopper-medium-v2");
+        // Too short to tell a slip from another name.
+        assert!(alike("ant", ["and", "art"]).is_empty());
+        assert_eq!(alike("ants", ["and", "ant", "art"]), ["ant"]);
+        assert!(alike("door-human", ["door-cloned", "pen-human"]).is_empty());
     }
 
     #[test]

@@ -167,15 +167,19 @@ fn check_dataset(about: &About, request: &Request<'_>, context: &Context) -> Res
     let folder = std::env::temp_dir();
     let (steps, _) = load::staged(request.source, request.columns, &folder, context)?;
     let found = steps.fingerprint()?;
-    if found != about.dataset.fingerprint {
-        bail!(
-            "the dataset has changed: {} has fingerprint {found}, the index was built of {} with fingerprint {}; build it again with `ksim index build`",
-            info.path.display(),
-            about.dataset.path,
-            about.dataset.fingerprint
-        );
+    let (own, path) = (&about.dataset, info.path.display().to_string());
+    if found == own.fingerprint {
+        return Ok(());
     }
-    Ok(())
+    let what = match path == own.path {
+        true => "the dataset has changed".to_owned(),
+        false => format!("it is of another dataset, {}", own.name),
+    };
+    bail!(
+        "{what}: {path} has fingerprint {found}, the index was built of {} with fingerprint {}; build it again with `ksim index build`",
+        own.path,
+        own.fingerprint
+    )
 }
 
 /// Width of the dataset's actions.

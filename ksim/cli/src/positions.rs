@@ -11,9 +11,9 @@ use crate::load::{self, Columns, PLANNER};
 use crate::pairing::{self, Listed};
 
 /// Where positions are looked for: the first that is there. Of a simulator's state, the first two are x and y.
-pub(crate) const POSITIONS: [&str; 2] = ["observation.achieved_goal", "info.qpos"];
+const POSITIONS: [&str; 2] = ["observation.achieved_goal", "info.qpos"];
 /// Where goals are.
-pub(crate) const GOALS: [&str; 2] = ["observation.desired_goal", "info.goal"];
+const GOALS: [&str; 2] = ["observation.desired_goal", "info.goal"];
 
 /// Positions of the steps of a planner, or of a whole file, in their order.
 #[derive(Debug, Default)]
@@ -32,13 +32,38 @@ pub(crate) struct Pair {
 }
 
 /// The first of some columns that holds two numbers or more in every row.
-pub(crate) fn find(source: &dyn DatasetSource, names: &[&str]) -> Option<Pair> {
+fn find(source: &dyn DatasetSource, names: &[&str]) -> Option<Pair> {
     let pair = |name: &&str| Pair::new(source, (*name).to_owned(), [0, 1]);
     names.iter().find_map(pair)
 }
 
+/// Positions of a file and, where they are recorded, goals: in columns of their own, or where those of a dataset are.
+///
+/// # Errors
+/// What was expected, and what is there.
+pub(crate) fn of(
+    source: &dyn DatasetSource,
+    paired: Option<(&dyn DatasetSource, Listed)>,
+) -> Result<(Pair, Option<Pair>), String> {
+    let of = |names: &[&str], part: &str| {
+        let own = find(source, names);
+        own.or_else(|| find_paired(source, paired?, part))
+    };
+    let Some(position) = of(&POSITIONS, "achieved_goal") else {
+        let schema = source.schema();
+        let names = schema.fields().iter().map(|field| field.name().as_str());
+        let found: Vec<&str> = names.collect();
+        return Err(format!(
+            "no positions: expected column {}, found {}",
+            POSITIONS.join(" or "),
+            found.join(", ")
+        ));
+    };
+    Ok((position, of(&GOALS, "desired_goal")))
+}
+
 /// What goes with a part of the dataset's state, such as two places of a state that is a single vector.
-pub(crate) fn find_paired(
+fn find_paired(
     source: &dyn DatasetSource,
     (dataset, listed): (&dyn DatasetSource, Listed),
     part: &str,
@@ -96,15 +121,8 @@ pub(crate) fn read(
         goal.map(|goal| &*goal.column),
         Some(&*action),
     ];
-    let mut columns: Vec<String> = Vec::new();
-    for name in wanted.into_iter().flatten() {
-        // Positions and goals may lie in one vector.
-        if !columns.iter().any(|known| known == name) {
-            columns.push(name.to_owned());
-        }
-    }
     let scan = Scan {
-        columns: Some(columns),
+        columns: Some(each_once(wanted.into_iter().flatten())),
         ..Scan::default()
     };
     let mut found = BTreeMap::<Option<String>, Track>::new();
@@ -134,15 +152,19 @@ pub(crate) fn read(
     Ok(found)
 }
 
-/// The first two numbers of every row; what is null is NaN.
-pub(crate) fn points(batch: &RecordBatch, name: &str) -> Result<Vec<[f64; 2]>> {
-    let column = name.to_owned();
-    let places = [0, 1];
-    pairs(batch, &Pair { column, places })
+/// Columns to read: positions and goals may lie in one vector.
+pub(crate) fn each_once<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+    let mut columns: Vec<String> = Vec::new();
+    for name in names {
+        if !columns.iter().any(|known| known == name) {
+            columns.push(name.to_owned());
+        }
+    }
+    columns
 }
 
-/// The same of two other places.
-fn pairs(batch: &RecordBatch, pair: &Pair) -> Result<Vec<[f64; 2]>> {
+/// The two numbers of every row; what is null is NaN.
+pub(crate) fn pairs(batch: &RecordBatch, pair: &Pair) -> Result<Vec<[f64; 2]>> {
     let name = &pair.column;
     let column = batch.column_by_name(name).context("a column vanished")?;
     let list = column.as_fixed_size_list_opt();

@@ -9,7 +9,7 @@ use ksim_envs::maze::{CELL_SIZE_M, Maze, Tile};
 
 use super::Request;
 use crate::pairing::Listed;
-use crate::positions::{self, GOALS, POSITIONS, Pair, Track};
+use crate::positions::{self, Pair, Track};
 use crate::scoring::{ScoredRollouts, Session};
 
 /// Share of the dataset beyond the picture of a projection, on each side; the rollouts are always in it.
@@ -58,22 +58,12 @@ impl Fault {
     }
 }
 
-/// Where the positions of a file are: in a column of their own, or where those of the dataset are.
-pub(super) fn position_of(
+/// [`positions::of`] beside a dataset.
+pub(super) fn positions_of(
     source: &dyn DatasetSource,
     paired: (&dyn DatasetSource, Listed),
-) -> Result<Pair, Fault> {
-    let own = positions::find(source, &POSITIONS);
-    own.or_else(|| positions::find_paired(source, paired, "achieved_goal"))
-        .ok_or_else(|| {
-            let expected = POSITIONS.join(" or ");
-            let found = source.schema();
-            let names = found.fields().iter().map(|field| field.name().as_str());
-            let found: Vec<&str> = names.collect();
-            let found = found.join(", ");
-            let what = format!("no positions: expected column {expected}, found {found}");
-            Fault::new(source, what)
-        })
+) -> Result<(Pair, Option<Pair>), Fault> {
+    positions::of(source, Some(paired)).map_err(|what| Fault::new(source, what))
 }
 
 impl Drawn {
@@ -126,10 +116,8 @@ fn in_maze(
     let listed = Listed::new(&request.job.rollout_options, &request.job.dataset_options);
     let paired = (session.dataset(), listed);
     let read = |source: &dyn DatasetSource, by_planner: bool| {
-        Ok::<_, anyhow::Error>(match position_of(source, paired) {
-            Ok(position) => {
-                let goal = positions::find(source, &GOALS);
-                let goal = goal.or_else(|| positions::find_paired(source, paired, "desired_goal"));
+        Ok::<_, anyhow::Error>(match positions_of(source, paired) {
+            Ok((position, goal)) => {
                 let tracks = positions::read(source, (&position, goal.as_ref()), by_planner);
                 let path = || source.info().path.display().to_string();
                 Ok((position.column, tracks.with_context(path)?))

@@ -47,7 +47,7 @@ pub(crate) fn check(
         let listed = Listed::new(&job.rollout_options, &job.dataset_options);
         let sources = files.iter().map(|file| &*file.source).chain([dataset]);
         for source in sources {
-            map::position_of(source, (dataset, listed)).map_err(Fault::in_full)?;
+            map::positions_of(source, (dataset, listed)).map_err(Fault::in_full)?;
         }
     }
     let mut n_episodes = 0;

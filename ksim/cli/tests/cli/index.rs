@@ -132,6 +132,15 @@ fn a_changed_dataset_is_refused_and_a_copied_one_is_not() {
         1,
         &["the dataset has changed", "fingerprint", "build it again"],
     );
+    let other = [
+        "score",
+        &demo.at("good.parquet"),
+        "--dataset",
+        &demo.at("noisy.parquet"),
+        "--index",
+        &index,
+    ];
+    ksim(other).failed(1, &["it is of another dataset, ", "dataset.parquet"]);
 }
 
 #[test]

@@ -89,6 +89,38 @@ fn paths_are_drawn_in_the_maze_of_an_environment() {
 }
 
 #[test]
+fn a_dataset_says_where_positions_lie_in_a_single_vector() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (dataset, flat, out) = (at("walk.parquet"), at("flat.parquet"), at("paths.svg"));
+    walk(&dataset);
+    let states = [
+        -4.0, 4.0, 0.0, -4.0, 0.0, 4.0, 0.0, -4.0, 4.0, 4.0, 0.0, -4.0,
+    ];
+    let columns: Vec<(&str, ArrayRef)> = vec![
+        ("episode_index", Arc::new(Int64Array::from(vec![0; 3]))),
+        ("observation", list(4, &states)),
+        ("action", list(1, &[0.5; 3])),
+    ];
+    write_parquet(&flat, columns);
+    let plot = |flags: &[&str]| {
+        let start = ["plot", "paths", &flat, "-o", &out, "--env", "antmaze-umaze"];
+        ksim(start.iter().chain(flags))
+    };
+    plot(&[]).failed(
+        1,
+        &["no positions: expected column", ", observation, action"],
+    );
+    let run = plot(&["--dataset", &dataset]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let svg = std::fs::read_to_string(&out).unwrap();
+    assert!(
+        svg.contains("M134.00 124.00L194.00 124.00L254.00 124.00"),
+        "{svg}"
+    );
+}
+
+#[test]
 fn scores_of_steps_color_the_paths() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();

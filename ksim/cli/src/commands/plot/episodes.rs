@@ -1,44 +1,37 @@
 //! Positions and goals of episodes.
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, anyhow};
 use arrow::array::{AsArray, RecordBatch};
 use arrow::datatypes::{DataType, Int64Type};
 use ksim_bench_harness::figure::paths::EpisodePath;
 use ksim_datasets::{DatasetSource, EpisodeRecord, Scan, schema};
 
-use crate::positions::{GOALS, POSITIONS, points};
+use crate::pairing::Listed;
+use crate::positions::{self, Pair, each_once, pairs};
 
-/// Reads the paths of some episodes.
+/// Reads the paths of some episodes; a dataset says where positions lie in a state that is a single vector.
 ///
 /// # Errors
 /// The columns are missing or no positions.
 pub(super) fn read(
     source: &dyn DatasetSource,
     chosen: &[EpisodeRecord],
+    paired: Option<(&dyn DatasetSource, Listed)>,
 ) -> Result<Vec<EpisodePath>> {
-    let columns = source.schema();
-    let find = |names: &[&'static str]| {
-        let mut names = names.iter().copied();
-        names.find(|name| columns.field_with_name(name).is_ok())
-    };
-    let Some(position) = find(&POSITIONS) else {
-        let names: Vec<&str> = columns
-            .fields()
-            .iter()
-            .map(|field| field.name().as_str())
-            .collect();
-        bail!(
-            "{}: no positions: expected column {}, found {}",
-            source.info().path.display(),
-            POSITIONS.join(" or "),
-            names.join(", ")
-        );
-    };
-    let goal = find(&GOALS);
-    let success = find(&[schema::INFO_SUCCESS]);
-    let wanted = [Some(schema::EPISODE_INDEX), Some(position), goal, success];
+    let (position, goal) = positions::of(source, paired)
+        .map_err(|what| anyhow!("{}: {what}", source.info().path.display()))?;
+    let has_success = source
+        .schema()
+        .field_with_name(schema::INFO_SUCCESS)
+        .is_ok();
+    let wanted = [
+        Some(schema::EPISODE_INDEX),
+        Some(&*position.column),
+        goal.as_ref().map(|goal| &*goal.column),
+        has_success.then_some(schema::INFO_SUCCESS),
+    ];
     let scan = Scan {
-        columns: Some(wanted.into_iter().flatten().map(str::to_owned).collect()),
+        columns: Some(each_once(wanted.into_iter().flatten())),
         episodes: Some(chosen.iter().map(|episode| episode.episode_index).collect()),
         ..Scan::default()
     };
@@ -46,7 +39,7 @@ pub(super) fn read(
     let mut place = 0;
     for batch in source.scan(&scan)? {
         let batch = batch?;
-        let rows = Rows::of(&batch, position, goal, success)?;
+        let rows = Rows::of(&batch, &position, goal.as_ref(), has_success)?;
         let numbers = batch
             .column_by_name(schema::EPISODE_INDEX)
             .context("a batch without episode numbers")?
@@ -79,12 +72,13 @@ struct Rows {
 impl Rows {
     fn of(
         batch: &RecordBatch,
-        position: &str,
-        goal: Option<&str>,
-        success: Option<&str>,
+        position: &Pair,
+        goal: Option<&Pair>,
+        has_success: bool,
     ) -> Result<Self> {
-        let flags = |name| -> Result<Vec<bool>> {
-            let column = batch.column_by_name(name).context("a column vanished")?;
+        let flags = || -> Result<Vec<bool>> {
+            let column = batch.column_by_name(schema::INFO_SUCCESS);
+            let column = column.context("a column vanished")?;
             let flat = match column.as_fixed_size_list_opt() {
                 Some(list) => list.values(),
                 None => column,
@@ -97,9 +91,9 @@ impl Rows {
                 .collect())
         };
         Ok(Self {
-            positions: points(batch, position)?,
-            goals: goal.map(|name| points(batch, name)).transpose()?,
-            successes: success.map(flags).transpose()?,
+            positions: pairs(batch, position)?,
+            goals: goal.map(|goal| pairs(batch, goal)).transpose()?,
+            successes: has_success.then(flags).transpose()?,
         })
     }
 }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result, bail};
 use clap::{Args, ValueEnum};
 use ksim_bench_harness::figure::paths::{EpisodePath, Layout, Measure, draw_by};
-use ksim_datasets::{DatasetInfo, EpisodeRecord};
+use ksim_datasets::{DatasetInfo, EpisodeRecord, OpenOptions};
 use ksim_envs::maze::Maze;
 use ksim_envs::registry::{self, EnvironmentRequest};
 
@@ -20,6 +20,7 @@ use crate::figure_file;
 use crate::mazes::maze_of;
 use crate::novelty::novelties;
 use crate::outcome::CommandOutcome;
+use crate::pairing::Listed;
 use crate::rollout_args::of_dataset;
 
 /// Episodes that are drawn where none are chosen, at most.
@@ -32,7 +33,8 @@ const MAX_EPISODES: usize = 12;
 /// Rollouts of ksim and Minari datasets know their maze; for other files say --env or --dataset.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct PathsArgs {
-    /// Rollouts, or any dataset with positions in observation.achieved_goal or info.qpos
+    /// Rollouts, or any dataset, with positions in observation.achieved_goal or info.qpos, or in a single vector
+    /// like that of --dataset
     #[arg(value_name = "ROLLOUTS")]
     rollouts: String,
     /// The figure to write: .svg, or .png or .pdf in a build with feature `figures`
@@ -50,10 +52,10 @@ pub(crate) struct PathsArgs {
     /// Color by step, or by how novel the plan under way was to its planner
     #[arg(long, value_enum, default_value_t = ColorArg::Step)]
     color: ColorArg,
-    /// The maze of this environment
-    #[arg(long, value_name = "ID", conflicts_with = "dataset")]
+    /// The maze of this environment, whatever --dataset was collected in
+    #[arg(long, value_name = "ID")]
     env: Option<String>,
-    /// The maze that this dataset was collected in
+    /// The maze that this dataset was collected in; its observations say where positions lie in a single vector
     #[arg(long, value_name = "NAME|PATH")]
     dataset: Option<String>,
     #[command(flatten)]
@@ -101,7 +103,8 @@ pub(super) fn episodes(text: &str) -> Result<Range<i64>> {
 /// Draws and writes.
 pub(super) fn run(args: &PathsArgs, context: &Context) -> Result<CommandOutcome> {
     atomic::check_target(&args.output)?;
-    let (resolved, source) = data_args::open(&args.rollouts, &args.data.open_options())?;
+    let options = args.data.open_options();
+    let (resolved, source) = data_args::open(&args.rollouts, &options)?;
     let inputs = [Some(resolved.path.as_path()), args.per_step.as_deref()];
     atomic::check_not_an_input(&args.output, inputs.into_iter().flatten())?;
     figure_file::check(&args.output)?;
@@ -116,7 +119,14 @@ pub(super) fn run(args: &PathsArgs, context: &Context) -> Result<CommandOutcome>
         context.warn(&format!("{first} are drawn; --episodes chooses others"));
         heading = format!("{heading}: {first}");
     }
-    let mut paths: Vec<EpisodePath> = read(&*source, &chosen)?;
+    // It may be known by name only: then it tells the maze, and the file has to tell positions itself.
+    let dataset = match &args.dataset {
+        Some(name) => data_args::open(name, &OpenOptions::default()).ok(),
+        None => None,
+    };
+    let listed = Listed::new(&options, &OpenOptions::default());
+    let paired = dataset.as_ref().map(|(_, dataset)| (&**dataset, listed));
+    let mut paths: Vec<EpisodePath> = read(&*source, &chosen, paired)?;
     if let Some(file) = &args.per_step {
         let scores = StepScores::read(file)?;
         for (path, episode) in paths.iter_mut().zip(&chosen) {
