@@ -67,6 +67,92 @@ impl Product<'_> {
     }
 }
 
+/// Winograd's products: rows of a point, one after the other, times the point's weights. The same bits as a [`Product`]
+/// of one tap, which looks every row up; with so few inputs a row that is felt.
+pub(super) struct Dense<'a> {
+    /// `[point][row][inputs]`.
+    pub(super) input: &'a [f32],
+    pub(super) points: usize,
+    pub(super) inputs: usize,
+    /// A multiple of [`PANEL`].
+    pub(super) outputs: usize,
+    /// `[point][panel][inputs][PANEL]`.
+    pub(super) weights: &'a [f32],
+    /// `[point][row][outputs]`, written.
+    pub(super) output: &'a mut [f32],
+}
+
+impl Dense<'_> {
+    pub(super) fn run(self) {
+        Arch::new().dispatch(self);
+    }
+
+    #[inline(always)]
+    fn points<S: Simd, const VECTORS: usize>(self, simd: S) {
+        let (inputs, outputs) = (self.inputs, self.outputs);
+        let n_rows = self.input.len() / self.points / inputs;
+        let n_tiles = n_rows.div_ceil(ROWS);
+        let of_point = self.input.chunks_exact(n_rows * inputs);
+        let of_point = of_point.zip(self.weights.chunks_exact(inputs * outputs));
+        let to_point = self.output.chunks_exact_mut(n_rows * outputs);
+        for ((input, weights), output) in of_point.zip(to_point) {
+            for (panel, weights) in weights.chunks_exact(inputs * PANEL).enumerate() {
+                for tile in 0..n_tiles {
+                    let (first, end) = (tile * n_rows / n_tiles, (tile + 1) * n_rows / n_tiles);
+                    let rows = &input[first * inputs..end * inputs];
+                    let to = &mut output[first * outputs..end * outputs];
+                    let column = panel * PANEL;
+                    match end - first {
+                        1 => dense::<S, 1, VECTORS>(simd, rows, weights, to, column),
+                        2 => dense::<S, 2, VECTORS>(simd, rows, weights, to, column),
+                        3 => dense::<S, 3, VECTORS>(simd, rows, weights, to, column),
+                        4 => dense::<S, 4, VECTORS>(simd, rows, weights, to, column),
+                        5 => dense::<S, 5, VECTORS>(simd, rows, weights, to, column),
+                        _ => dense::<S, ROWS, VECTORS>(simd, rows, weights, to, column),
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl WithSimd for Dense<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match PANEL / S::F32_LANES {
+            1 => self.points::<S, 1>(simd),
+            2 => self.points::<S, 2>(simd),
+            4 => self.points::<S, 4>(simd),
+            _ => self.points::<S, PANEL>(simd),
+        }
+    }
+}
+
+/// N dense rows times a panel, into the columns from `column` on.
+#[expect(clippy::needless_range_loop, reason = "several arrays at a time")]
+#[inline(always)]
+fn dense<S: Simd, const N: usize, const VECTORS: usize>(
+    simd: S,
+    input: &[f32],
+    weights: &[f32],
+    output: &mut [f32],
+    column: usize,
+) {
+    let (inputs, outputs) = (input.len() / N, output.len() / N);
+    let mut rows = [input; N];
+    for i in 0..N {
+        rows[i] = &input[i * inputs..][..inputs];
+    }
+    let mut sums = [[simd.splat_f32s(0.0); VECTORS]; N];
+    accumulate::<S, N, VECTORS>(simd, &rows, weights, &mut sums);
+    for i in 0..N {
+        let (row, _) = S::as_mut_simd_f32s(&mut output[i * outputs + column..][..PANEL]);
+        row.copy_from_slice(&sums[i]);
+    }
+}
+
 struct Run<'a> {
     product: &'a Product<'a>,
     output: &'a mut [f32],

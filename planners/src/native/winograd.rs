@@ -16,10 +16,9 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::aligned::Aligned;
-use super::geometry::{Kind, Pass, Tap};
-use super::panels::Panels;
+use super::geometry::Kind;
 use super::plan::Layer;
-use super::product::{PANEL, Product, Start, n_panels};
+use super::product::{Dense, PANEL, Start, n_panels};
 
 /// Outputs that are computed together.
 const TILE: usize = 4;
@@ -56,7 +55,7 @@ pub(super) struct Room {
     pub(super) products: Aligned,
 }
 
-/// A layer applied to some samples: the same as [`Product`], of transformed weights.
+/// A layer applied to some samples: the same as a [`Product`](super::product::Product), of transformed weights.
 pub(super) struct Winograd<'a> {
     /// `[length][samples][inputs]`.
     pub(super) input: &'a [f32],
@@ -89,7 +88,15 @@ impl Winograd<'_> {
                 n,
             };
             run.transform_inputs(&mut room.inputs);
-            run.multiply(&room.inputs, &mut room.products);
+            Dense {
+                input: &room.inputs[..self.points * rows * self.inputs],
+                points: self.points,
+                inputs: self.inputs,
+                outputs: self.outputs,
+                weights: self.weights,
+                output: &mut room.products[..self.points * rows * self.outputs],
+            }
+            .run();
             run.transform_products(&room.products, output);
         }
     }
@@ -129,37 +136,6 @@ impl Group<'_> {
                 from: &from[..points],
                 to: &mut to,
             });
-        }
-    }
-
-    fn multiply(&self, inputs: &[f32], products: &mut [f32]) {
-        let winograd = self.winograd;
-        let rows = self.n * winograd.samples;
-        let depth = winograd.inputs * winograd.outputs;
-        let passes = [Pass {
-            start: 0,
-            step: 1,
-            count: rows,
-            in_step: 1,
-            taps: vec![Tap {
-                weight: 0,
-                offset: 0,
-            }],
-        }];
-        for point in 0..winograd.points {
-            Product {
-                input: &inputs[point * rows * winograd.inputs..][..rows * winograd.inputs],
-                length: rows,
-                samples: 1,
-                inputs: winograd.inputs,
-                outputs: winograd.outputs,
-                weights: Panels::Whole(&winograd.weights[point * depth..][..depth]),
-                taps: 1,
-                passes: &passes,
-                start: Start::Zero,
-                zeros: winograd.zeros,
-            }
-            .write(&mut products[point * rows * winograd.outputs..][..rows * winograd.outputs]);
         }
     }
 
