@@ -24,7 +24,7 @@ use super::product::{Dense, PANEL, Start, n_panels};
 const TILE: usize = 4;
 
 /// Fewer channels than these are not worth the transformations.
-const LEAST_CHANNELS: usize = 64;
+const LEAST_CHANNELS: usize = 32;
 
 /// A group of fewer windows is computed directly: it is bound by reading the weights, of which there are more here.
 pub(super) const LEAST_SAMPLES: usize = 4;
