@@ -131,7 +131,6 @@ impl WithSimd for Dense<'_> {
 }
 
 /// N dense rows times a panel, into the columns from `column` on.
-#[expect(clippy::needless_range_loop, reason = "several arrays at a time")]
 #[inline(always)]
 fn dense<S: Simd, const N: usize, const VECTORS: usize>(
     simd: S,
