@@ -37,6 +37,11 @@ fn find(source: &dyn DatasetSource, names: &[&str]) -> Option<Pair> {
     names.iter().find_map(pair)
 }
 
+/// Whether positions have a column of their own.
+pub(crate) fn has_own(source: &dyn DatasetSource) -> bool {
+    find(source, &POSITIONS).is_some()
+}
+
 /// Positions of a file and, where they are recorded, goals: in columns of their own, or where those of a dataset are.
 ///
 /// # Errors

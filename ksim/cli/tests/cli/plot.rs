@@ -111,6 +111,7 @@ fn a_dataset_says_where_positions_lie_in_a_single_vector() {
         1,
         &["no positions: expected column", ", observation, action"],
     );
+    plot(&["--dataset", "no-such-dataset"]).failed(1, &["\"no-such-dataset\" is not on this"]);
     let run = plot(&["--dataset", &dataset]);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let svg = std::fs::read_to_string(&out).unwrap();

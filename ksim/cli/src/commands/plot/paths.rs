@@ -21,6 +21,7 @@ use crate::mazes::maze_of;
 use crate::novelty::novelties;
 use crate::outcome::CommandOutcome;
 use crate::pairing::Listed;
+use crate::positions;
 use crate::rollout_args::of_dataset;
 
 /// Episodes that are drawn where none are chosen, at most.
@@ -119,10 +120,12 @@ pub(super) fn run(args: &PathsArgs, context: &Context) -> Result<CommandOutcome>
         context.warn(&format!("{first} are drawn; --episodes chooses others"));
         heading = format!("{heading}: {first}");
     }
-    // It may be known by name only: then it tells the maze, and the file has to tell positions itself.
+    // A dataset that only tells the maze need not be on this machine.
     let dataset = match &args.dataset {
-        Some(name) => data_args::open(name, &OpenOptions::default()).ok(),
-        None => None,
+        Some(name) if !positions::has_own(&*source) => {
+            Some(data_args::open(name, &OpenOptions::default())?)
+        }
+        _ => None,
     };
     let listed = Listed::new(&options, &OpenOptions::default());
     let paired = dataset.as_ref().map(|(_, dataset)| (&**dataset, listed));
